@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import foretouch as ft
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "docs" / "_ext"))
 
@@ -29,6 +31,14 @@ def test_the_examples_print_what_the_page_shows_and_draw_its_picture(page: Path,
     for picture in pictures:
         assert (tmp_path / "api" / picture).stat().st_size > 5_000
         assert (page.parent / picture).is_file()
+
+
+def test_every_class_of_the_front_door_is_on_a_page() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in api_pages.PAGES)
+    listed = set(re.findall(r"\w+", " ".join(re.findall(r"(?::members:|autoclass::) (.+)", text))))
+    whole = re.findall(r"automodule:: (\S+)\n +:members:\n", text)
+    classes = [entry for entry in (getattr(ft, name) for name in ft.__all__) if isinstance(entry, type)]
+    assert not [kind for kind in classes if kind.__name__ not in listed and kind.__module__ not in whole]
 
 
 def test_the_ten_tasks_take_forty_lines() -> None:

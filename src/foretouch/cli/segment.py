@@ -55,12 +55,7 @@ def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline
         "reason": scene.reason + (_HINT if _is_one_object(item.cloud, scene.status) else ""),
         "plane": None if scene.table is None else scene.table.coefficients,
         "objects": [
-            {
-                "id": int(object_.id),
-                "n_points": object_.n_points,
-                "centroid": object_.centroid,
-                "bounds": object_.bounds,
-            }
+            {"id": object_.id, "n_points": object_.n_points, "centroid": object_.centroid, "bounds": object_.bounds}
             for object_ in scene.objects
         ],
         "background": [
