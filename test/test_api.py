@@ -96,6 +96,7 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
         (ft.Object.of, (3, scene.cloud, scene.table), "id: 3 is not a text, such as '1'"),
         (ft.Object.of, ("3", scene.cloud.xyz, scene.table), "cloud: ndarray is not a Cloud"),
         (ft.Object.of, ("3", scene.cloud, (0, 0, -1, 1)), "plane: tuple is not a Plane"),
+        (ft.plan, (replace(scene.objects[0], background="enters_view"),), r"target: is background \(enters_view\)"),
         (Pipeline().plan, (scene.cloud,), r"target: \w*Cloud is not an object of a scene"),
         (ft.load_model().predict, (scene.cloud.xyz, []), "cloud: ndarray is neither an object of a scene, such as"),
         (ft.segment, (scene.cloud.xyz,), r"cloud: ndarray is not a Cloud, such as Cloud\.from_depth\(depth, K\)"),

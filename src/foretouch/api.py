@@ -53,7 +53,7 @@ def plan(target: Object, *, count: int | None = None, config: PipelineConfig | N
         Without a grasp K is 0, and `status` and `reason` say why.
 
     Raises:
-        CloudError: If a scene or a cloud is passed for the object.
+        CloudError: If a scene, a cloud or background is passed for the object.
     """
     pipeline = Pipeline(config)
     if count is not None:

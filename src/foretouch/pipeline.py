@@ -154,11 +154,13 @@ class Pipeline:
             hold: In units of the score.
 
         Raises:
-            CloudError: If a scene or a cloud is passed for the object.
+            CloudError: If a scene, a cloud or background is passed for the object.
         """
         if not isinstance(target, Object):
             rule = "is not an object of a scene, such as segment(cloud).objects[0]; Pipeline().run(cloud, plane) takes one object's points"
             raise CloudError(f"target: {type(target).__name__} {rule}")
+        if target.background:
+            raise CloudError(f"target: is background ({target.background}); grasps are planned on objects of a scene")
         plan = plan_grasps(
             target.cloud,
             target.plane,
