@@ -672,21 +672,23 @@ VECTORISED void split_clusters(const Labelled *of, int64_t k, const double *sett
     graph g = {.of = of, .first = of->xyz + 3 * (of->row * of->across + of->column), .k = k, .h = (of->h + k - 1) / k, .w = (of->w + k - 1) / k, .s = settings, .trees = trees, .counts = counts};
     const size_t n = (size_t)(g.n = g.h * g.w);
     memset(counts, 0, COUNTS * sizeof(int64_t));
-    g.fragments = calloc(1, (n + 1) * (sizeof(fragment) + sizeof(cell) + sizeof(int32_t)) + (4 * n + 1) * sizeof(border) + 2 * n * sizeof(float));
-    if (!g.fragments) {
-        counts[PARTS] = -1;
-        return;
-    }
-    g.borders = (border *)(g.fragments + n + 1), g.cells = (cell *)(g.borders + 4 * n + 1);
+    g.cells = calloc(1, (n + 1) * (sizeof(cell) + sizeof(int32_t)) + 2 * n * sizeof(float));
     g.root = (int32_t *)(g.cells + n + 1), g.bends = (float *)(g.root + n + 1);
-    make_cells(&g);
-    find_steps(&g);
-    make_normals(&g);
-    make_bends(&g);
-    make_fragments(&g);
-    measure(&g);
-    look_behind(&g);
-    join_all(&g);
-    counts[PARTS] = write_parts(&g);
-    free(g.fragments);
+    if (g.cells) {
+        make_cells(&g);
+        find_steps(&g);
+        make_normals(&g);
+        make_bends(&g);
+        make_fragments(&g);
+        g.fragments = malloc(((size_t)g.n_fragments + 1) * sizeof(fragment) + (4 * n + 1) * sizeof(border));
+    }
+    counts[PARTS] = -1;
+    if (g.fragments) {
+        g.borders = (border *)(g.fragments + g.n_fragments + 1);
+        measure(&g);
+        look_behind(&g);
+        join_all(&g);
+        counts[PARTS] = write_parts(&g);
+    }
+    free(g.fragments), free(g.cells);
 }
