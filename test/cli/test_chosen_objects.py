@@ -30,7 +30,7 @@ def test_a_mask_of_any_file_is_used_as_it_is_and_its_objects_get_grasps(call, sc
 
     def check(name: str) -> None:
         (record,) = call("segment", TABLE, "--mask", tmp_path / name, "--json").records
-        assert sorted(one["id"] for one in record["objects"]) == ["40", "7"]
+        assert sorted(one["id"] for one in record["objects"]) == [7, 40]
         records = call("grasp", TABLE, "--mask", tmp_path / name, "--target", "all", "--json").records
         assert sorted(one["object"] for one in records) == ["40", "7"]
         assert all(one["grasps"] for one in records)

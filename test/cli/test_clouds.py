@@ -30,7 +30,7 @@ def test_segment_prints_plane_objects_times_and_labels(call, files, tmp_path) ->
     assert (labels.shape, labels.dtype) == ((240, 424), np.int32)
     # Flying pixels bear the label of their object and are none of its points.
     assert np.count_nonzero(labels) == sum(one["n_points"] for one in record["objects"]) + record["counts"]["flying"]
-    assert set(np.unique(labels)) == {0, *(int(one["id"]) for one in record["objects"])}
+    assert set(np.unique(labels)) == {0, *(one["id"] for one in record["objects"])}
     assert "centroid [m]" in call("segment", files / "scene.npz").out
 
 

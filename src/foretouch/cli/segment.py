@@ -55,7 +55,12 @@ def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline
         "reason": scene.reason + (_HINT if _is_one_object(item.cloud, scene.status) else ""),
         "plane": None if scene.table is None else scene.table.coefficients,
         "objects": [
-            {"id": object_.id, "n_points": object_.n_points, "centroid": object_.centroid, "bounds": object_.bounds}
+            {
+                "id": int(object_.id),  # as in the labels file
+                "n_points": object_.n_points,
+                "centroid": object_.centroid,
+                "bounds": object_.bounds,
+            }
             for object_ in scene.objects
         ],
         "background": [

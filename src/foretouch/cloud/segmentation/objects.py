@@ -152,7 +152,7 @@ def select_targets(
 
     Objects within `margin_m` (mode `largest`: within 5 % of the points) of the best are ambiguous, since noise would
     decide. Of them, the object is selected that is still where the previous target was; else the one at the smallest
-    angle to the optical axis; of those within 1 degree of it the leftmost in the image, then the highest.
+    angle to the optical axis; of those within 1 degree of it the leftmost in the image, then the highest, then the first.
 
     Args:
         objects: In order of id.
@@ -248,7 +248,7 @@ def _break_tie(tied: Sequence[Object], previous: Float64 | None) -> tuple[Object
     angles = {obj.id: float(np.arctan2(np.hypot(*obj.centroid[:2]), obj.centroid[2])) for obj in tied}
     smallest = min(angles.values())
     central = [obj for obj in tied if angles[obj.id] - smallest < _SAME_ANGLE]
-    chosen = min(central, key=lambda obj: (obj.centroid[0], obj.centroid[1], int(obj.id)))
+    chosen = min(central, key=lambda obj: (obj.centroid[0], obj.centroid[1]))
     if len(central) > 1:
         return chosen, "is the leftmost of those nearest to the optical axis"
     return chosen, "is nearest to the optical axis"
