@@ -108,23 +108,32 @@ def open_source(
         named = [(samples.name(k), partial(samples.read, k)) for k in numbers]
         return Source(path, "samples", len(named), lambda: named, frame_id)
     if is_recording(path):
-        with Recording(path) as recording:
-            name = recording.cloud_topic(topic)
-            topics = {recorded.name: recorded for recorded in recording.topics}
-            count = topics.pop(name).count
-            info = recording.info_topic(name)
-            notes = recording.notes
-        others = tuple(topics.values())
-        entries = partial(_recorded, path, name)
-        return Source(path, "recording", count, entries, frame_id, name, info, others, notes=notes)
+        return _recording(path, topic, frame_id)
     if topic is not None:
         raise FileError(path, f"is not a recording, so it has no topic {topic}")
+    return _clouds(path, frame_id, camera or DepthCamera())
+
+
+def _recording(path: Path, topic: str | None, frame_id: str) -> Source:
+    """Return the clouds of a recording as a source."""
+    with Recording(path) as recording:
+        name = recording.cloud_topic(topic)
+        topics = {recorded.name: recorded for recorded in recording.topics}
+        count = topics.pop(name).count
+        info = recording.info_topic(name)
+        notes = recording.notes
+    others = tuple(topics.values())
+    entries = partial(_recorded, path, name)
+    return Source(path, "recording", count, entries, frame_id, name, info, others, notes=notes)
+
+
+def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
+    """Return a file, or the files of a folder, as a source of clouds."""
     files = sorted(path.iterdir(), key=_natural) if path.is_dir() else [path]
     pairs, known = (
         Pairs.of(files if path.is_dir() else []),
         CLOUD_SUFFIXES if path.is_dir() else CLOUD_SUFFIXES + IMAGE_SUFFIXES,
     )
-    given = camera or DepthCamera()
     clouds, left_out = [], []
     for file in files:
         if file in pairs.depths or (file.suffix.lower() in known and file not in pairs.others):

@@ -7,7 +7,7 @@ Stamps and missing numbers are checked here, whatever the source.
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import chain, islice
@@ -82,27 +82,29 @@ def write(
     if not start:
         raise DatasetError(f"samples: there is none to write to {path}; pass at least one sample")
 
-    def made() -> Iterable[Sample]:
-        for number, sample in enumerate(chain(start, records)):
-            if isinstance(sample, Sample):
-                yield sample
-                continue
-            try:
-                yield GraspArrays(**sample).sample(own, missing, remarks)
-            except (TypeError, ValueError, AttributeError, ForetouchError) as err:  # of keys and values of other types
-                name = (
-                    f"{sample.get('object')}/{sample.get('id') or number}"
-                    if isinstance(sample, Mapping)
-                    else type(sample).__name__
-                )
-                raise DatasetError(
-                    f"sample {number} ({name}): {str(err).removeprefix('GraspArrays.__init__() ')}"
-                ) from err
-
-    write_records(Path(path), made(), identity, own, result, remarks=remarks)
+    made = _made_of(chain(start, records), own, missing, remarks)
+    write_records(Path(path), made, identity, own, result, remarks=remarks)
     for line in result.notes:
         warnings.warn(line, stacklevel=2)
     return result
+
+
+def _made_of(
+    records: Iterable[Sample | Mapping[str, Any]], sensor: Sensor, missing: Missing, remarks: Remarks
+) -> Iterator[Sample]:
+    """Iterate over samples, those of mappings made of their fields."""
+    for number, record in enumerate(records):
+        if isinstance(record, Sample):
+            yield record
+            continue
+        try:
+            yield GraspArrays(**record).sample(sensor, missing, remarks)
+        except (TypeError, ValueError, AttributeError, ForetouchError) as err:  # of keys and values of other types
+            name = type(record).__name__
+            if isinstance(record, Mapping):
+                name = f"{record.get('object')}/{record.get('id') or number}"
+            fault = str(err).removeprefix("GraspArrays.__init__() ")
+            raise DatasetError(f"sample {number} ({name}): {fault}") from err
 
 
 def write_records(

@@ -18,7 +18,7 @@ from foretouch.errors import DatasetError
 from foretouch.tactile import touch_faults
 from foretouch.tactile.contact_detector import contact_scores, find_contact
 from foretouch.tactile.readings import rest_of
-from foretouch.types import APPROACH, HOLD, REST, SECOND_NS, Bool, Float32, Int64, Sample, Touch, TouchSeries
+from foretouch.types import APPROACH, HOLD, REST, SECOND_NS, Bool, Float32, Int64, Sample, Touch, TouchSeries, UInt8
 from foretouch.types.channels import Channels
 
 _FROZEN_S = 0.5  # the noisy values of a finger do not repeat together for so long
@@ -113,14 +113,8 @@ def cut_touch(
     touch, tare = (Touch(np.median(part.counts, axis=0), channels) for part in (hold, rest))
     _require_working(window, touch, tare)
     onsets = find_contact(window.stamps_ns, window.counts, rest.counts, channels)
-    phases = np.full(len(window), REST, np.uint8)
-    phases[window.stamps_ns >= interval.start] = APPROACH
-    phases[window.stamps_ns >= interval.contact] = HOLD
     contact_ns = min((onset for onset in onsets if onset is not None), default=None)
-    extra = {"clock_offset_s": clock * 1e-9}
-    for prefix, part in (("", hold), ("tare_", rest)):
-        medians = zip(buffer.others, np.median(part.others, axis=0).tolist(), strict=True)
-        extra |= {f"{prefix}{name}": value for name, value in medians}
+    extra = {"clock_offset_s": clock * 1e-9, **_medians(buffer, hold, ""), **_medians(buffer, rest, "tare_")}
     others = {name: window.others[:, k].copy() for k, name in enumerate(buffer.others)}
     return Sample(
         id="",
@@ -128,12 +122,26 @@ def cut_touch(
         touch=touch,
         tare=rest_of(tare.values, channels),
         extra=extra,
-        series=TouchSeries(window.stamps_ns, window.counts, phases, others),
+        series=TouchSeries(window.stamps_ns, window.counts, _phases(window, interval), others),
         contact_ns=contact_ns,
         detector="" if contact_ns is None else "change against the tare (foretouch.tactile.contact_detector)",
         pairing_error_ns=error,
         flags=_flags(window, onsets, channels),
     )
+
+
+def _phases(window: TouchWindow, interval: Interval) -> UInt8:
+    """Return (T,) uint8: whether the hand rested, approached or held at each reading."""
+    phases = np.full(len(window), REST, np.uint8)
+    phases[window.stamps_ns >= interval.start] = APPROACH
+    phases[window.stamps_ns >= interval.contact] = HOLD
+    return phases
+
+
+def _medians(buffer: TouchBuffer, part: TouchWindow, prefix: str) -> dict[str, float]:
+    """Return the medians of the further channels, by their names with a prefix."""
+    medians = np.median(part.others, axis=0).tolist()
+    return {f"{prefix}{name}": value for name, value in zip(buffer.others, medians, strict=True)}
 
 
 def _clock_offset_ns(window: TouchWindow, config: PairingConfig) -> int:
