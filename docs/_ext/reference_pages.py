@@ -280,7 +280,7 @@ def node_configs() -> dict[str, type[Settings]]:
 
 
 def parameters() -> str:
-    """Return the parameters of every node; those that all nodes have come first, once."""
+    """Return the parameters of every node; the parameters that all nodes share come first, once."""
     from foretouch.ros.runtime.lifecycle_node import NodeConfig
 
     shared = {info.name for info in setting_infos(NodeConfig)}
@@ -403,7 +403,7 @@ def parser_of(command: str) -> CommandParser:
 
 
 def command_names() -> list[str]:
-    """Return all commands, and the actions of those that have some."""
+    """Return all commands, and the actions of each command that has actions."""
     from foretouch.cli.main import COMMANDS
 
     return [

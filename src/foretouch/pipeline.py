@@ -231,16 +231,11 @@ class Pipeline:
         Raises:
             CloudError: If the cloud or the table is of another type; for a mask as `segment`.
         """
-        if plane is not None and not isinstance(plane, Plane):
-            raise CloudError(
-                f"plane: {type(plane).__name__} is not a Plane, such as Plane.from_coefficients((a, b, c, d))"
-            )
         ms: dict[str, float] = {}
         scene: Scene | None = None
         results: list[TargetResult] = []
         targets: tuple[Object, ...]
         if plane is not None:
-            require_cloud(cloud)
             targets = (Object.of("1", cloud, plane),)
         else:
             with timed(ms, "segment"):

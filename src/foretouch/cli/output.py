@@ -46,7 +46,7 @@ class JsonLines:
 
     @property
     def dropped(self) -> int:
-        """Number of items that were not printed; of those that wait it is known after `close`."""
+        """Number of items that were not printed. Items that still wait are counted after `close`."""
         waits = self._in_print if self._items.closed else 0
         return self._items.dropped.total() + waits
 

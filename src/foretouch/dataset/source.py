@@ -129,11 +129,10 @@ def _recording(path: Path, topic: str | None, frame_id: str) -> Source:
 
 def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     """Return a file, or the files of a folder, as a source of clouds."""
-    files = sorted(path.iterdir(), key=_natural) if path.is_dir() else [path]
-    pairs, known = (
-        Pairs.of(files if path.is_dir() else []),
-        CLOUD_SUFFIXES if path.is_dir() else CLOUD_SUFFIXES + IMAGE_SUFFIXES,
-    )
+    is_folder = path.is_dir()
+    files = sorted(path.iterdir(), key=_natural) if is_folder else [path]
+    pairs = Pairs.of(files if is_folder else [])
+    known = CLOUD_SUFFIXES if is_folder else CLOUD_SUFFIXES + IMAGE_SUFFIXES
     clouds, left_out = [], []
     for file in files:
         if file in pairs.depths or (file.suffix.lower() in known and file not in pairs.others):
@@ -142,7 +141,7 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
             clouds.append((str(file), partial(read_cloud, file, own)))
         elif file.suffix.lower() in IMAGE_SUFFIXES and file not in pairs.others:
             left_out.append(file.name)
-    if not clouds and path.is_dir():
+    if not clouds and is_folder:
         formats = ", ".join(CLOUD_SUFFIXES)
         rule = f"holds no clouds ({formats}), no depth images, no recording and no dataset ({readable_formats()}); {PAIRING}"
         raise FileError(path, rule)

@@ -64,20 +64,17 @@ def write(
         DatasetError: If there is no sample, or one breaks a rule. The message names the sample, the field, the rule, and what to do.
         FileError: If the dataset is of another hand, camera or sensor, or cannot be written.
     """
-    records: Iterable[Sample | Mapping[str, Any]]
     if isinstance(samples, SampleSet):
         own = samples.sensor
         facts = samples.identity
-        records = samples
     else:
         own = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
         facts = Identity()
-        records = samples
     identity = Identity(
         hand=hand or facts.hand or {"name": own.config.name}, camera=camera or facts.camera or {"name": "none"}
     )
     result, remarks = WriteResult(), Remarks()
-    records = iter(records)
+    records: Iterator[Sample | Mapping[str, Any]] = iter(samples)
     start = list(islice(records, 1))
     if not start:
         raise DatasetError(f"samples: there is none to write to {path}; pass at least one sample")
@@ -92,7 +89,7 @@ def write(
 def _made_of(
     records: Iterable[Sample | Mapping[str, Any]], sensor: Sensor, missing: Missing, remarks: Remarks
 ) -> Iterator[Sample]:
-    """Iterate over samples, those of mappings made of their fields."""
+    """Iterate over samples; make a sample of each mapping."""
     for number, record in enumerate(records):
         if isinstance(record, Sample):
             yield record

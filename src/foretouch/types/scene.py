@@ -115,7 +115,7 @@ class Scene:
     reason: str  # why, in words; for "ok" usually "", or how an ambiguous target was selected
     cloud: Cloud  # the whole cloud
     table: Plane | None  # its normal towards the camera; None if not found
-    objects: tuple[Object, ...]  # nearest centroid first, with ids 1, 2, ... or those of the mask or stream
+    objects: tuple[Object, ...]  # nearest centroid first; ids are 1, 2, ..., or the mask's labels, or the stream's ids
     background: tuple[Object, ...]  # what is no object, and why; nearest first
     outline: Float64  # (n, 3) float64, corners of the table's outline [m]; empty if unknown, as in a list of points
     labels: Int32  # (H, W) int32, or (N,) of an unorganised cloud: the id of each point's object, 0 for none

@@ -144,7 +144,7 @@ def _accuracy(skill: str, settings: SimulationSettings, data: Scenes) -> dict[st
 
 
 def _drops(scene: SceneConfig, count: int) -> dict[int, Float64]:
-    """Return (2, 24) drops of the electrodes of both fingers before sensor effects [counts], by slot; those that fail are left out."""
+    """Return (2, 24) drops of the electrodes of both fingers before sensor effects [counts], by slot; leave out the samples that fail."""
     drops = {}
     for key, state in Engine(scene, EFFECTS).first_tries(count):
         rest, pressed = state.readings

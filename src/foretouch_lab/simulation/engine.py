@@ -179,7 +179,7 @@ class Engine:
         return plans
 
     def first_tries(self, count: int) -> Iterator[tuple[SampleKey, SampleState]]:
-        """Make the first try at each of the first slots; those that fail are left out."""
+        """Make the first try at each of the first slots; leave out the tries that fail."""
         for slot in range(count):
             key = SampleKey(self.scene.seed, slot)
             with suppress(SimulationError):
