@@ -146,6 +146,16 @@ KINDS: Final[dict[str, tuple[Callable[[Models, Rng], Pile], Callable[[Pile], boo
 }
 
 
+def resting(models: Models, seed: int, number: int) -> Iterator[tuple[Pile, Rng, int]]:
+    """Attempts at a pile whose kind is that of its number: those that come to rest, their generator and the number of the attempt."""
+    build, holds = list(KINDS.values())[number % len(KINDS)]
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng([seed, number, attempt])
+        pile = build(models, rng)
+        if at_rest(pile) and holds(pile):
+            yield pile, rng, attempt
+
+
 def make(models: Models, shapes: Shapes, seed: int, number: int) -> Scene:
     """One pile; its kind is that of its number.
 
@@ -153,12 +163,7 @@ def make(models: Models, shapes: Shapes, seed: int, number: int) -> Scene:
         RuntimeError: If no attempt gives one.
     """
     kind = list(KINDS)[number % len(KINDS)]
-    build, holds = KINDS[kind]
-    for attempt in range(_ATTEMPTS):
-        rng = np.random.default_rng([seed, number, attempt])
-        pile = build(models, rng)
-        if not (at_rest(pile) and holds(pile)):
-            continue
+    for pile, rng, attempt in resting(models, seed, number):
         view = float(rng.uniform(25.0, 55.0)), float(rng.uniform(0.75, 1.1))
         seen = look(pile, shapes, kind, view, SampleKey(seed, number, attempt))
         if visible(seen):

@@ -116,6 +116,24 @@ def vessel(rng: Rng) -> Model:
     return centred("", hollow(_wall(rng), rng.uniform(0.003, 0.005)))
 
 
+def bowl(rng: Rng) -> Model:
+    """A bowl or dish into which other objects fit."""
+    angle = np.linspace(0.0, np.pi / 2.0, 4 * BANDS + 1)
+    foot, out, tall = rng.uniform((0.03, 0.03, 0.03), (0.07, 0.07, 0.09))
+    wall = np.stack([foot + out * np.sin(angle), tall * (1.0 - np.cos(angle))], axis=1)
+    return centred("", hollow(wall, rng.uniform(0.004, 0.006)))
+
+
+def open_box(rng: Rng) -> Model:
+    """A tray or a box without a lid."""
+    x, y, z = rng.uniform((0.12, 0.10, 0.02), (0.30, 0.24, 0.11)) / 2.0
+    thick = rng.uniform(0.003, 0.007)
+    spans = [((-x, -y, -z), (x, y, thick - z))]
+    spans += [((side - thick / 2.0, -y, -z), (side + thick / 2.0, y, z)) for side in (-x, x)]
+    spans += [((-x, side - thick / 2.0, -z), (x, side + thick / 2.0, z)) for side in (-y, y)]
+    return centred("", [np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T for low, high in spans])
+
+
 def mug(rng: Rng) -> Model:
     """A vessel with a handle."""
     outer = _wall(rng)
@@ -220,3 +238,5 @@ DRAWN: Final[tuple[Callable[[Rng], Model], ...]] = (ball, ellipsoid, bottle, ves
 STANDING: Final = (packet, box, can, tube, bottle, vessel, mug, jug, box, vessel, packet, can, bottle, drill)
 #: Kinds that are concave.
 CONCAVE: Final = (drill, bottle, drill, vessel, mug, bottle, union, jug, hammer, pan, bent, drill)
+#: Kinds that hold other objects.
+HOLDING: Final = (open_box, open_box, bowl, bowl, pan, mug, vessel)
