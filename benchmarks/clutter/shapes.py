@@ -128,10 +128,24 @@ def open_box(rng: Rng) -> Model:
     """A tray or a box without a lid."""
     x, y, z = rng.uniform((0.12, 0.10, 0.02), (0.30, 0.24, 0.11)) / 2.0
     thick = rng.uniform(0.003, 0.007)
-    spans = [((-x, -y, -z), (x, y, thick - z))]
-    spans += [((side - thick / 2.0, -y, -z), (side + thick / 2.0, y, z)) for side in (-x, x)]
-    spans += [((-x, side - thick / 2.0, -z), (x, side + thick / 2.0, z)) for side in (-y, y)]
-    return centred("", [np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T for low, high in spans])
+    floor = _box((-x, -y, 0.0), (x, y, thick))
+    return centred("", [floor, *_sides(x, y, 2.0 * z, thick)])
+
+
+def bin_sides(x: float, y: float, height: float) -> Model:
+    """The sides of a bin without a floor: half its inner length and width, and its height [m]."""
+    return centred("", _sides(x, y, height, 0.005))
+
+
+def _sides(x: float, y: float, height: float, thick: float) -> list[Float64]:
+    """Four upright sheets around a rectangle of 2 x by 2 y, from 0 up."""
+    ends = [_box((side - thick / 2.0, -y, 0.0), (side + thick / 2.0, y, height)) for side in (-x, x)]
+    return [*ends, *(_box((-x, side - thick / 2.0, 0.0), (x, side + thick / 2.0, height)) for side in (-y, y))]
+
+
+def _box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Float64:
+    """The corners of a box (8, 3)."""
+    return np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
 
 
 def mug(rng: Rng) -> Model:

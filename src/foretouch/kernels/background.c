@@ -24,7 +24,9 @@ enum { HOLE, TABLE, UNDER, OVER };             /* kinds of cells */
 #define LONG 0.2     /* and their length, which few objects have [m], */
 #define THIN 0.006   /* standard deviation of their depth [m], */
 #define STEEP 0.35   /* largest cosine between their normal and that of the table, */
+#define OPEN 4       /* all of them together have the table between them in one of as many rows, */
 #define RIM 0.005f   /* difference of their heights [m], */
+#define NARROW 4     /* of a piece of a rim, fewer than one of as many cells are within it, */
 #define CORNER 2     /* and cells with which they meet */
 #define BLOCK 32     /* cells without a label that are passed at once */
 
@@ -347,12 +349,35 @@ static int is_upright(const board *g, const part *own, int64_t label) {
     return fit.variance < THIN * THIN && sine * sine > 1.0 - STEEP * STEEP && extent(g, own, label, along) > LONG * sine;
 }
 
+/* Whether a part is all sides of a bin: as large as they are, and in many rows more cells of the table lie between its cells than it has. */
+static int is_frame(const board *g, const part *own, int64_t label) {
+    const double *t = g->of->plane, across[3] = {0.0, t[2], -t[1]}, size = sqrt(t[1] * t[1] + t[2] * t[2]);
+    const double along[3] = {-t[1] * t[1] - t[2] * t[2], t[0] * t[1], t[0] * t[2]};
+    int64_t rows = 0, open = 0;
+    if (own->reason != STANDS || own->top < TALL) {
+        return 0;
+    }
+    for (int64_t y = own->first / g->w; y <= own->last / g->w; y++) {
+        int64_t cells = 0, table = 0, between = 0; /* of the row; of the table since the first, and up to the last cell */
+        for (int64_t x = 0; x < g->w; x++) {
+            const int is_own = g->of->labels[y * g->w + x] == label;
+            cells += is_own, table += cells && g->kind[y * g->w + x] == TABLE;
+            between = is_own ? table : between;
+        }
+        rows += cells > 0, open += between > cells;
+    }
+    return OPEN * open > rows && extent(g, own, label, across) > LONG * size && extent(g, own, label, along) > LONG * size;
+}
+
 /* The sides of a bin: upright sheets of one height, or that meet, also what is beyond the table; and what meets one and has its height. */
 static void find_bin(const board *g, part *parts, const int32_t *near) {
     const int64_t n = g->of->n;
     int changed = 0;
     for (int64_t i = 1; i < n; i++) {
         parts[i].upright = is_upright(g, parts + i, i);
+        if (is_frame(g, parts + i, i)) {
+            parts[i].reason = WALL, changed = 1;
+        }
     }
     for (int64_t i = 1; i < n; i++) {
         for (int64_t j = 1; j < n && parts[i].upright; j++) {
@@ -366,7 +391,8 @@ static void find_bin(const board *g, part *parts, const int32_t *near) {
         changed = 0;
         for (int64_t i = 1; i < n; i++) {
             for (int64_t j = 1; j < n && parts[i].reason == STANDS; j++) {
-                if (near[2 * (i * n + j)] && parts[j].reason == WALL && fabsf(parts[i].top - parts[j].top) < RIM) {
+                const int joined = near[2 * (i * n + j)] || NARROW * parts[i].within < parts[i].cells;
+                if (joined && parts[j].reason == WALL && fabsf(parts[i].top - parts[j].top) < RIM) {
                     parts[i].reason = WALL, changed = 1;
                 }
             }
