@@ -119,9 +119,10 @@ static void make_cells(graph *g) {
                     }
                 }
             }
+            const float *middle = g->first + 3 * (at / w * v->across + at % w);
             c->part = 0;
             c->d = c->label ? sum[2] / sum[3] : 1.0f / z;
-            c->p[0] = sum[0] / sum[3] / c->d, c->p[1] = sum[1] / sum[3] / c->d, c->p[2] = 1.0f / c->d;
+            c->p[0] = c->label ? sum[0] / sum[3] / c->d : middle[0], c->p[1] = c->label ? sum[1] / sum[3] / c->d : middle[1], c->p[2] = 1.0f / c->d;
         }
     }
 }
@@ -380,7 +381,7 @@ static int64_t beyond(const graph *g, int64_t i, const cell *a, int dir) {
     int hidden = 0, open = 0; /* cells */
     for (int64_t t = 1; at + t < length; t++) {
         const cell *o = g->cells + i + t * to;
-        if (!o->label) {
+        if (o->d != o->d) {
             continue;
         }
         const float u = o->p[0] * o->d, v = o->p[1] * o->d;
@@ -388,9 +389,9 @@ static int64_t beyond(const graph *g, int64_t i, const cell *a, int dir) {
         if (o->part == g->cells[i].part) {
             return -1;
         }
-        if (o->d > d + (float)g->s[STEP_M] * d * d) {
+        if (o->label && o->d > d + (float)g->s[STEP_M] * d * d) {
             hidden++;
-        } else if (hidden) {
+        } else if (o->label && hidden) {
             return i + t * to;
         } else if (++open > 2) { /* nothing hides the surface */
             return -1;
