@@ -173,7 +173,7 @@ class Pipeline:
             held=held,
             hold=hold,
             hand=self.config.hand,
-            obstacles=None if target.obstacles is None else target.obstacles.without(target.id),
+            obstacles=None if target.obstacles is None else target.obstacles.without(target),
         )
         return replace(plan, grasps=plan.grasps.replace(object_id=target.id))
 

@@ -77,6 +77,15 @@ class TouchModel:
         """Whether it was trained on simulated grasps, and so predicts for the simulated hand only."""
         return "scene_sha256" in self.card.get("data", {})
 
+    def is_same(self, other: "TouchModel") -> bool:
+        """Return whether another model is this one, or was loaded from a copy of its files.
+
+        Args:
+            other: The other model.
+        """
+        loaded = self.path is not None and other.path is not None
+        return other is self or (loaded and other.card == self.card)  # which has the hashes of the other files
+
     def save(self, folder: str | Path) -> Path:
         """Write card, weights and calibration to a folder, for `load_model`.
 
@@ -151,7 +160,8 @@ class TouchModel:
         if history is not None:
             if tare is not None:
                 raise ModelError("history: has tares and touches of its own")
-            if history.tracker.parameters is not self._calibrated().tracker_parameters:
+            self._calibrated()
+            if not self.is_same(history.model):
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
         cloud, own_table = _cloud_and_table(cloud)
         table = table or own_table
