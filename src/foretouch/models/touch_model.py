@@ -18,7 +18,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
-from foretouch.errors import CloudError, FileError, ModelError, TactileError
+from foretouch.errors import CloudError, FileError, ModelError, TactileError, shown
 from foretouch.files import read_bytes, replace_files, system_errors
 from foretouch.grasp.pose import joined_faults, require_none, rotation_faults
 from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, reach_faults
@@ -248,8 +248,11 @@ class TouchModel:
             (D,) float64; NaN of taxels that are dead in the training data, or whose reading cannot be used.
 
         Raises:
-            TactileError: If the reading is of another sensor, or not of working ones. The message names `what`.
+            TactileError: If the reading is of another sensor, or not of working ones, or no `Touch`. The message names `what`.
         """
+        if not isinstance(touch, Touch):
+            rule = "is not a Touch, such as Touch(values, model.sensor.channels)"
+            raise TactileError(f"{what}: {type(touch).__name__} {rule}")
         require_same(touch.channels, self.sensor.channels, what)
         if faults := touch_faults(touch):
             raise TactileError(f"{what}: {faults[0]}")
@@ -321,7 +324,7 @@ class History:
         model: A model with a calibration.
 
     Raises:
-        ModelError: If the model has no calibration.
+        ModelError: If the model has no calibration, or is a name.
 
     Attributes:
         tracker: What the readings say about the sensors and the current object.
@@ -334,6 +337,8 @@ class History:
     """
 
     def __init__(self, model: TouchModel) -> None:
+        if not isinstance(model, TouchModel):
+            raise ModelError(f"model: {shown(model)} is not a TouchModel, such as load_model()")
         self.model = model
         self.tracker = model.new_tracker()
         self.signature: tuple[str, Float64] | None = None
