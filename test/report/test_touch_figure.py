@@ -9,6 +9,7 @@ import pytest
 from constant_models import sensor_with_dead
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.image import imread
 from sim_builders import CAN, run, scene
 
@@ -47,6 +48,9 @@ def test_all_electrodes_have_one_scale_and_equal_touches_equal_colours(sample, t
         DrawnGrasp(target=target, prediction=prediction, rest=tare, read=read) for read in (prediction.value, other)
     ]
     save_touch_picture(tmp_path / "a.png", rows)
+    distance = np.linalg.norm(target.cloud.xyz.mean(axis=0))
+    titles = [text.get_text() for text in drawn[0].findobj(Text)]
+    assert titles.count(f"what the camera sees\nof the object, {distance:.2f} m away") == 1  # not repeated
     dots = dots_of(drawn[0])
     assert len(dots) == 8
     drops = [tare["E_TH"] - prediction.value["E_TH"], tare["E_MF"] - prediction.value["E_MF"]]
