@@ -220,6 +220,8 @@ def test_a_dataset_is_columns_and_parts(tmp_path):
         assert len(train) + len(test) == len(arrays["id"])
     with pytest.raises(DatasetError, match="split: 'objects' is not one of"):
         samples.split("objects")
+    with pytest.raises(DatasetError, match=rf"{len(samples)} is not the number of a sample, 0 to {len(samples) - 1}"):
+        samples.subset([0, len(samples)])
 
 
 @pytest.mark.filterwarnings("error:Implicitly cleaning up", "error::pytest.PytestUnraisableExceptionWarning")
