@@ -118,6 +118,34 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
     every_case(cases, check)
 
 
+def test_lists_become_arrays_and_what_is_no_grasp_reading_model_or_setting_is_refused(scene):
+    model, target = ft.load_model(), scene.objects[0]
+    grasps = ft.plan(target)
+    listed = ft.Grasp(*(getattr(grasps[0], name).tolist() for name in ("g1", "g2", "rotation")))
+    np.testing.assert_array_equal(model.predict(target, [listed]).value, model.predict(target, grasps).value)
+    assert ft.Touch([0] * 50, model.sensor.channels).values.dtype == np.float64
+    history = ft.History(model)
+    cases = [
+        (GraspError, ft.Grasp, ("left", listed.g2, listed.rotation), "g1: left is not of numbers"),
+        (TactileError, ft.Touch, ([[1.0], [1.0, 2.0]], model.sensor.channels), "touch: .* is not of numbers"),
+        (GraspError, model.predict, (target, listed), r"grasps: Grasp is not a sequence; of one grasp pass \[grasp\]"),
+        (GraspError, Pipeline().predict, (target, None), "grasps: NoneType is not a sequence"),
+        (GraspError, model.predict, (target, [(listed.g1, listed.g2)]), r"grasps: holds tuple, not Grasp\(g1, g2"),
+        (GraspError, ft.draw, (scene, listed), "grasps: Grasp is not a sequence"),
+        (ConfigError, ft.draw, (scene.cloud,), "scene: Cloud is neither a Scene"),
+        (TactileError, history.tare, (np.zeros(50),), r"tare: ndarray is not a Touch, such as Touch\(values, model"),
+        (TactileError, history.touched, (target, listed, np.zeros(50)), "touched: ndarray is not a Touch"),
+        (ModelError, ft.History, ("contact-v3",), r"model: contact-v3 is not a TouchModel, such as load_model\(\)"),
+        (ConfigError, ft.Pipeline, ({"grasp": {"count": 3}},), "config: dict is not a PipelineConfig, such as"),
+    ]
+
+    def check(error, call, arguments, message):
+        with pytest.raises(error, match=message):
+            call(*arguments)
+
+    every_case(cases, check)
+
+
 def test_columns_select_join_and_refuse_what_does_not_fit(scene):
     grasps = ft.plan(scene.objects[0], count=4)
     assert len(grasps) > 2
@@ -192,6 +220,8 @@ def test_a_dataset_is_columns_and_parts(tmp_path):
         assert len(train) + len(test) == len(arrays["id"])
     with pytest.raises(DatasetError, match="split: 'objects' is not one of"):
         samples.split("objects")
+    with pytest.raises(DatasetError, match=rf"{len(samples)} is not the number of a sample, 0 to {len(samples) - 1}"):
+        samples.subset([0, len(samples)])
 
 
 @pytest.mark.filterwarnings("error:Implicitly cleaning up", "error::pytest.PytestUnraisableExceptionWarning")

@@ -20,7 +20,7 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig,
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
-from foretouch.errors import CloudError
+from foretouch.errors import CloudError, ConfigError
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, hand_rotation, object_axis, plan_grasps
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import History, TouchModel, load_model
@@ -67,9 +67,15 @@ class Pipeline:
 
     Args:
         config: Settings of all steps; the defaults if None. The touch model is loaded when it is first needed.
+
+    Raises:
+        ConfigError: If the settings are of another type.
     """
 
     def __init__(self, config: PipelineConfig | None = None) -> None:
+        if not isinstance(config, PipelineConfig | None):
+            rule = 'is not a PipelineConfig, such as PipelineConfig().updated({"grasp.count": 3}, "mine")'
+            raise ConfigError(f"config: {type(config).__name__} {rule}")
         self.config = config if config is not None else PipelineConfig()
         self._model: TouchModel | None = None
 
@@ -173,7 +179,7 @@ class Pipeline:
             held=held,
             hold=hold,
             hand=self.config.hand,
-            obstacles=None if target.obstacles is None else target.obstacles.without(target.id),
+            obstacles=None if target.obstacles is None else target.obstacles.without(target),
         )
         return replace(plan, grasps=plan.grasps.replace(object_id=target.id))
 
@@ -191,7 +197,7 @@ class Pipeline:
         """
         posed = Grasp(g1, g2, np.eye(3), object_id=target.id)
         check_object(target.cloud.xyz, self.config.limits)
-        check_table(target.plane, self.config.limits)
+        check_table(target.plane, self.config.limits, target.cloud.xyz)
         check_reach(posed, target.cloud.xyz, self.config.reach.max_width_m, self.config.reach.max_distance_m)
         axis, _ = object_axis(target.cloud, target.plane, self.config.grasp)
         return Grasp(g1, g2, hand_rotation(posed.g1, posed.g2, axis), object_id=target.id)
@@ -210,9 +216,9 @@ class Pipeline:
         Returns:
             A row for each grasp, in order.
         """
-        model = self.model
+        model, grasps = self.model, Grasps.of(grasps)
         if not grasps:
-            return Predictions.refused(Grasps.of(grasps), model.sensor.channels, "refused", "")
+            return Predictions.refused(grasps, model.sensor.channels, "refused", "")
         predictions = model.predict(
             target, grasps, tare=tare, history=history, limits=self.config.limits, reach=self.config.reach
         )

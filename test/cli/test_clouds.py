@@ -125,6 +125,8 @@ def test_a_config_file_and_set_change_the_pipeline(call, files, tmp_path) -> Non
     from_option = call(*original, "--tip-mm", "30", "--set", "grasp.count=2").records[0]
     assert from_file["counts"] == from_option["counts"]
     assert from_file["counts"] != call(*original).records[0]["counts"]
+    call("grasp", files / "object.pcd", "--tip-mm", "20").check_refused("--tip-mm: is for --set grasp.method=original")
+    call("grasp", files / "object.pcd", "--hand", "shadow").check_refused("--hand: hand.name: shadow: is neither")
     unknown = call("grasp", files / "object.pcd", "--set", "grasp.tipp_mm=3")
     unknown.check_refused("grasp.tipp_mm: unknown setting; known: tip_mm")
     assert main([]) == 2

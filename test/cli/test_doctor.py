@@ -13,6 +13,7 @@ from packaging.requirements import Requirement
 from foretouch.cli import doctor, selftest
 from foretouch.errors import ModelError
 from foretouch.models import available_models, load_model
+from foretouch.ros.runtime import environment
 from foretouch.types import Cloud
 
 
@@ -49,6 +50,27 @@ def test_a_machine_without_ros_has_nothing_to_fix(monkeypatch) -> None:
         "optional",
         "pip install 'foretouch[ros]' ./foretouch_msgs",
     )
+
+
+@pytest.mark.ros
+def test_variables_with_which_ros_ends_a_process_are_named_first(monkeypatch, call) -> None:
+    monkeypatch.setattr(doctor, "_LIBRARIES", ())
+    for name, value, rule in (
+        ("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp", "'rmw_cyclonedds_cpp' is not installed; ROS 2 from PyPI has"),
+        ("ROS_DOMAIN_ID", "233", "'233' is not a whole number from 0 to 232"),
+        ("ROS_DOMAIN_ID", "x", "'x' is not a whole number from 0 to 232"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setenv(name, value)
+            patch.setattr(environment, "wheels_of_ros", lambda: "jazzy")
+            (found,) = doctor._libraries()
+            assert (found.state, found.found.startswith(f"{name}: {rule}"), found.fix) == (
+                "broken",
+                True,
+                f"unset {name}",
+            )
+            for command in (["run", "--source", "camera"], ["forget", "touches"]):
+                call(*command).check_refused(f"{name}: {rule}")
 
 
 def test_a_check_whose_process_crashes_or_hangs_is_broken(monkeypatch) -> None:

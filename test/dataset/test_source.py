@@ -49,7 +49,7 @@ def test_what_is_nothing_known(tmp_path):
         (
             "notes.txt",
             None,
-            "notes.txt: suffix .txt is not one of .pcd, .ply, .npz, .npy, .png, .tif, .tiff, .mcap, .db3, .bag",
+            "notes.txt: the extension is not one of .pcd, .ply, .npz, .npy, .png, .tif, .tiff, .mcap, .db3, .bag",
         ),
         ("empty", None, "holds no clouds"),
         ("absent", None, "absent: does not exist"),

@@ -200,7 +200,7 @@ REFUSED: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "an outcome": (lambda one: one.update(outcome="held"), "outcome: 'held' is not one of success, failure, unknown"),
     "a key": (lambda one: one.update(stamp=3), "got an unexpected keyword argument 'stamp'"),
     "no object": (lambda one: one.pop("object"), "missing 1 required keyword-only argument: 'object'"),
-    "a slash": (lambda one: one.update(object="a/b"), "id: 'a/b/7' is not 'a/b'"),
+    "a slash": (lambda one: one.update(object="a/b"), "object: 'a/b' is not a plain name"),
     "no stamps": (lambda one: one.pop("stamps_s"), "stamps_ns, stamps_s, rate_hz: give one of them, not none"),
     "two stamps": (lambda one: one.update(rate_hz=50.0), "give one of them, not stamps_s and rate_hz"),
     "rest beyond the end": (lambda one: one.update(rest=9999), r"rest: 9999 readings without contact are more than all \d+"),
@@ -225,6 +225,21 @@ def test_what_does_not_fit_is_named_and_leaves_nothing_behind(tmp_path: Path, pa
 def test_no_samples_are_refused_and_make_no_dataset(tmp_path: Path, pads: Path, samples: Any) -> None:
     with pytest.raises(DatasetError, match=r"samples: there is none to write to .*ds; pass at least one"):
         ft.write(tmp_path / "ds", samples, pads)
+    assert not (tmp_path / "ds").exists()
+
+
+@pytest.mark.parametrize(
+    ("samples", "given", "rule"),
+    [
+        (None, {}, "samples: NoneType is neither a dataset, such as open\\(PATH\\), nor a list"),
+        ("session", {}, "sample 0: str is neither a Sample nor a mapping; pass a list of them, or a dataset"),
+        ({"object": "mug"}, {}, "sample 0: str is neither a Sample nor a mapping"),
+        ([{}], {"hand": "shadow"}, 'hand: shadow is not a mapping, such as {"name": "mine"}'),
+    ],
+)
+def test_what_is_no_list_of_samples_is_named(tmp_path: Path, pads: Path, samples: Any, given: Any, rule: str) -> None:
+    with pytest.raises(DatasetError, match=rule):
+        ft.write(tmp_path / "ds", samples, pads, **given)
     assert not (tmp_path / "ds").exists()
 
 

@@ -11,6 +11,7 @@ from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, object_axis, plan_grasps
 from foretouch.grasp.reach import check_reach
 from foretouch.types import Cloud, Float64, Plane
+from foretouch.types.scene import Object
 
 CONFIG = GeoGraspConfig()
 SOLIDS = {"can": can(0.033, 0.12), "low can": can(0.04, 0.05), "ball": ball(0.035), "low box": box(0.06, 0.09, 0.05)}
@@ -168,7 +169,7 @@ def test_what_stands_in_the_way_of_a_finger_blocks_a_grasp() -> None:
     seen = {1: own, 7: wall(camera, found.mean(axis=0), across, 0.045)}
 
     def around(objects: dict[int, Float64]) -> Obstacles:
-        return Obstacles.of(list(objects.items())).without("1")
+        return Obstacles.of(list(objects.items())).without(Object.of("1", cloud, table))
 
     plan = plan_grasps(cloud, table, CONFIG, obstacles=around(seen))
     assert plan.status == "ok"

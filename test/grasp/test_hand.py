@@ -219,13 +219,20 @@ def _described(changes: dict[str, object]) -> str:
     return yaml.safe_dump(stated)
 
 
+def test_a_description_is_read_once_and_again_when_it_was_edited(tmp_path: Path) -> None:
+    path = tmp_path / "hand.yaml"
+    for opening_m in (0.05, 0.06):
+        path.write_text(_described({"opening_m": opening_m}), encoding="utf-8")
+        assert load_hand(path).config.opening_m == opening_m
+        assert load_hand(path) is load_hand(str(path))
+
+
 def test_descriptions_that_break_a_rule_are_refused(tmp_path: Path) -> None:
     joint = {"name": "J1", "lower": 0.0, "upper": 1.0}
 
     def check(changes: dict[str, object], reason: str) -> None:
         path = tmp_path / "hand.yaml"
         path.write_text(_described(changes), encoding="utf-8")
-        load_hand.cache_clear()
         with pytest.raises(ConfigError) as caught:
             HandConfig(name=str(path))
         assert "hand.yaml" in str(caught.value)

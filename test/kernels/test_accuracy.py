@@ -8,6 +8,7 @@ between the benign and the hard end of each family, four times each; 3x1 by defa
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from pkgutil import resolve_name
 
 import numpy as np
 import pytest
@@ -76,6 +77,13 @@ def test_errors_are_within_their_bounds() -> None:
     assert set(FAMILIES) == {name for name, row in TABLE.items() if row["measured"] == "now"}
     every_case(FAMILIES.keys(), check)
     assert all(float(row["worst"]) <= float(row["C"]) for row in TABLE.values())
+
+
+def test_the_table_names_functions_that_exist() -> None:
+    for row in TABLE.values():
+        for name in row["function"].split(", "):
+            package = "foretouch_lab" if name.startswith(("learning.", "simulation.")) else "foretouch"
+            assert callable(resolve_name(f"{package}.{name}")), row["kernel"]
 
 
 @kernel("plane fit")

@@ -12,8 +12,10 @@ from recording_builders import read_folder
 from benchmarks.common import ROOT, read_csv
 from benchmarks.demo.bench import demo_rows, demo_run
 from foretouch.dataset.vision2tactile import folder_sha256
+from foretouch.errors import ModelError
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
-from foretouch.tactile import BIOTAC, MODALITIES
+from foretouch.models.touch_model import History
+from foretouch.tactile import BIOTAC, MODALITIES, biotac_touch
 from foretouch.types import Grasp
 from foretouch_lab.simulation.scene import load_scene
 
@@ -48,6 +50,18 @@ def test_the_default_is_first_all_load_and_cards_hold_what_they_must(can, make_g
         assert sum(path.stat().st_size for path in files) <= 3_000_000
         values = [one.value for one in model.predict(can, make_grasps(3))]
         assert all(1600 < value["PDC_MF"][0] < 2300 and 2500 < value["PDC_TH"][0] < 3400 for value in values)
+
+
+def test_a_history_serves_another_load_of_its_model_and_no_other_model(can, make_grasps) -> None:
+    models, grasps = [load_model(), load_model(), load_model("simulated")], make_grasps(2)
+    history = History(models[0])
+    history.tare(biotac_touch(models[0].calibration.rest.round()), stamp_ns=0)
+    at = history.snapshot(10**9, same_object=False, tare=True)
+    own, twin = (model.predict(can, grasps, history=at) for model in models[:2])
+    np.testing.assert_array_equal(twin.value, own.value)
+    assert twin.reference.tolist() == ["tare", "tare"]
+    with pytest.raises(ModelError, match="simulated: history: is of another model"):
+        models[2].predict(can, grasps, history=at)
 
 
 def test_the_simulated_model_knows_its_scene() -> None:

@@ -10,12 +10,14 @@ from constant_models import sensor_with_dead
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from scene_builders import scene_cloud
 from sim_builders import CAN, run, scene
 
+from foretouch.api import segment
 from foretouch.report.touch_figure import DrawnGrasp, _agreement, save_contact_sheet, save_touch_picture
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
-from foretouch.types import Cloud, Grasp, Plane, Prediction, Sample, Touch
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane, Prediction, Sample, Touch
 from foretouch.types.scene import Object
 
 BIOTAC_SP = packaged_sensor("biotac_sp")
@@ -54,6 +56,16 @@ def test_all_electrodes_have_one_scale_and_equal_touches_equal_colours(sample, t
     assert {dot.get_clim() for dot in dots} == {(np.min(drops), np.max(drops) + 500.0)}
     np.testing.assert_array_equal(dots[0].get_array(), dots[1].get_array())  # predicted and read of the thumb
     np.testing.assert_allclose(dots[5].get_array() - dots[4].get_array(), 500.0)
+
+
+def test_the_image_has_the_distance_of_the_object_whatever_its_table(sample, tmp_path, monkeypatch) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr("foretouch.report.touch_figure.save", lambda figure, path, dpi: drawn.append(figure) or path)
+    scene = segment(scene_cloud(1))
+    target = replace(scene.objects[0], plane=ASSUMED_TABLE)
+    save_touch_picture(tmp_path / "a.png", [DrawnGrasp(prediction=sample[1], target=target, scene=scene.cloud)])
+    distance = np.linalg.norm(target.cloud.xyz.mean(axis=0))
+    assert drawn[0].axes[0].get_title() == f"what the camera sees\nof the object, {distance:.2f} m away"
 
 
 def test_a_sentence_states_the_agreement_and_an_interval_changes_predicted_pressures_alone(sample, tmp_path) -> None:

@@ -31,10 +31,10 @@ class Table:
         if parameters.get("mask"):
             graph.matched("mask")
 
-    def send(self, cloud, mask=None):
+    def send(self, cloud, mask=None, frame=None):
         before = len(self.heard["touch"])
         if mask is not None:
-            self.masks.publish(image(mask, cloud.stamp_ns))
+            self.masks.publish(image(mask, cloud.stamp_ns, cloud.frame_id if frame is None else frame))
         self.clouds.publish(cloud_to_msg(cloud))
         self.graph.until(lambda: all(len(found) > before for found in self.heard.values()))
         return {topic: found[-1] for topic, found in self.heard.items()}
@@ -48,11 +48,11 @@ class Table:
         return before
 
 
-def image(mask, stamp_ns, encoding="mono8"):
+def image(mask, stamp_ns, frame, encoding="mono8"):
     dtype = np.uint8 if encoding == "mono8" else np.uint16
     data = np.asarray(mask, dtype)
     height, width = data.shape
-    header = Header(frame_id="camera", stamp=stamp_to_msg(stamp_ns))
+    header = Header(frame_id=frame, stamp=stamp_to_msg(stamp_ns))
     step = width * data.itemsize
     return Image(header=header, height=height, width=width, encoding=encoding, step=step, data=data.tobytes())
 
@@ -101,6 +101,11 @@ def test_the_labels_of_a_mask_of_the_same_stamp_are_the_objects(graph, model_car
     np.testing.assert_array_equal(
         np.float32(found["touch"].predictions[0].values), result.predictions.value[0, 2:].astype(np.float32)
     )
+    other = table.send(scene_cloud(0, stamp_ns=START + 4), mask, "camera_color_optical_frame")
+    assert other["touch"].status == Status.UNKNOWN_FRAME
+    assert other["touch"].reason.startswith("mask: frame 'camera_color_optical_frame' is not the frame of the image")
+    nameless = table.send(scene_cloud(0, stamp_ns=START + 5), mask, "")
+    assert [object_.id for object_ in nameless["objects"].objects] == ["200"]
     small = table.send(scene_cloud(0, stamp_ns=START + 1), mask[:-1])
     assert (small["touch"].status, small["objects"].status) == (Status.BAD_REQUEST, Status.BAD_REQUEST)
     assert small["touch"].reason.startswith("mask: shape")

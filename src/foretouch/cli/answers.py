@@ -86,15 +86,16 @@ def answer_record(message: TouchPredictionArray, sensor: Sensor = BIOTAC_SP) -> 
 
 
 def _message_record(message: TouchPredictionMsg, sensor: Sensor) -> dict[str, Any]:
-    """Return a prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its reason alone."""
+    """Return a prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its object and reason alone."""
     from foretouch.ros.messages.conversions import prediction_from_msg
     from foretouch.ros.messages.requests import status_name
 
+    target = {"object": message.grasp.object_id}
     try:
-        return prediction_record(prediction_from_msg(message, sensor))
+        return target | prediction_record(prediction_from_msg(message, sensor))
     except ForetouchError as err:
         status = status_name(message.status) if message.status else "failed"
-        return {"status": status, "reason": message.reason or str(err)}
+        return target | {"status": status, "reason": message.reason or str(err)}
 
 
 def modality_text(

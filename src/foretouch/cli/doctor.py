@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from typing import Literal
 
@@ -22,9 +22,9 @@ from packaging.requirements import Requirement
 
 from foretouch.cli.output import announce, print_json, print_table
 from foretouch.cli.parser import CommandParser
-from foretouch.errors import CameraError, ForetouchError, MissingDependencyError
+from foretouch.errors import ConfigError, ForetouchError
 from foretouch.processes import ONE_THREAD
-from foretouch.ros.runtime.environment import FAST_DDS, large_clouds
+from foretouch.ros.runtime.environment import FAST_DDS, check_variables, large_clouds, wheels_of_ros
 
 _PATIENCE_S = 120.0  # of one check in its own process; the longest takes 6 s on an idle machine
 _EXTRA = re.compile(r"extra == ['\"](\w+)['\"]")
@@ -123,12 +123,12 @@ def _libraries() -> Iterator[_Finding]:
         found = "absent: only for nodes, run and record"
         yield _Finding("ROS 2", "optional", found, "pip install 'foretouch[ros]' ./foretouch_msgs")
         return
-    wheels = [
-        distribution.name
-        for distribution in metadata.distributions()
-        if distribution.name in ("ros-rclpy", "ros-jazzy-rclpy")
-    ]
-    distro = os.environ.get("ROS_DISTRO") or f"{'kilted' if wheels == ['ros-rclpy'] else 'jazzy'}, wheels of PyPI"
+    try:
+        check_variables()
+    except ConfigError as err:
+        yield _Finding("ROS 2", "broken", str(err), f"unset {str(err).partition(':')[0]}")
+        return
+    distro = os.environ.get("ROS_DISTRO") or f"{wheels_of_ros()}, wheels of PyPI"
     identified = f"{_ROS}; import rclpy; print(rclpy.get_rmw_implementation_identifier())"
     loaded = _tried(f"rclpy loads ({distro})", identified, "pip install 'foretouch[ros]'")
     yield loaded
@@ -158,12 +158,11 @@ def _own_parts() -> Iterator[_Finding]:
             yield _Finding(f"model {name}", "broken", str(err), _REINSTALL)
     if importlib.util.find_spec("pyrealsense2") is None:
         return  # the extra that has it is named
-    from foretouch.camera.device import list_devices
-
-    try:
-        yield _Finding("RealSense", "ok", ", ".join(list_devices()) or "no device is connected")
-    except (CameraError, MissingDependencyError) as err:
-        yield _Finding("RealSense", "optional", str(err))
+    devices = (
+        "from foretouch.camera.device import list_devices; print(', '.join(list_devices()) or 'no device is connected')"
+    )
+    found = _tried("RealSense", devices, "")
+    yield found if found.state == "ok" else replace(found, state="optional")
 
 
 def _tried(name: str, code: str, fix: str) -> _Finding:

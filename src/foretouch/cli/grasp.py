@@ -14,6 +14,7 @@ from foretouch.cli.answers import grasp_record
 from foretouch.cli.output import print_table
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
+from foretouch.errors import ConfigError
 from foretouch.grasp.hand import load_hand
 from foretouch.pipeline import Pipeline
 
@@ -43,6 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     inputs.check_single(arguments)
     changes = {"grasp.tip_mm": arguments.tip_mm, "grasp.count": arguments.count}
     pipeline = Pipeline(inputs.pipeline_config(arguments, changes))
+    if arguments.tip_mm is not None and pipeline.config.grasp.method != "original":
+        raise ConfigError("--tip-mm: is for --set grasp.method=original; else set hand.tip_radius_m [m]")
     rng = None if arguments.vary is None else np.random.default_rng(arguments.vary)
     return inputs.process_inputs(arguments, partial(_plan, arguments, pipeline, rng), _show)
 

@@ -181,6 +181,15 @@ def add_options(parser: CommandParser, *names: str, group: Any = None) -> None:
         parser.add_argument(name, group=group, **_OPTIONS[name])
 
 
+_OPTION_OF = {
+    "target.mode": "--target",
+    "hand.name": "--hand",
+    "model": "--model",
+    "grasp.tip_mm": "--tip-mm",
+    "grasp.count": "--count",
+}
+
+
 def pipeline_config(
     arguments: argparse.Namespace, changes: dict[str, Any] | None = None, defaults: dict[str, Any] | None = None
 ) -> PipelineConfig:
@@ -196,8 +205,11 @@ def pipeline_config(
         "hand.name": getattr(arguments, "hand", None),
         "model": getattr(arguments, "model", None) or None,
     }
-    options = {name: value for name, value in (given | (changes or {})).items() if value is not None}
-    return config.updated(parse_overrides(arguments.set), "--set").updated(options, "options")
+    config = config.updated(parse_overrides(arguments.set), "--set")
+    for name, value in (given | (changes or {})).items():
+        if value is not None:
+            config = config.updated({name: value}, _OPTION_OF[name])
+    return config
 
 
 def depth_camera(arguments: argparse.Namespace) -> DepthCamera:

@@ -44,6 +44,9 @@ _LABORATORY = ("simulate", "train", "evaluate", "experiment", "tradeoff")
 """Commands that need `pip install 'foretouch[lab]'`."""
 
 
+_ON_ROS = ("run", "record", "replay", "forget")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 success, 1 known failure, 2 wrong usage."""
     try:
@@ -100,6 +103,10 @@ def _run(arguments: list[str]) -> int:
     if parsed.command is None:
         parser.print_help()
         return 2
+    if parsed.command in _ON_ROS:
+        from foretouch.ros.runtime.environment import check_variables
+
+        check_variables()
     with needs_laboratory(parsed.command):  # some libraries are imported when they are needed
         return int(command_module(parsed.command).run(parsed))
 

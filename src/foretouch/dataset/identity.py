@@ -47,8 +47,8 @@ def id_number(sample_id: str) -> int:
 
 def check_id(sample_id: str, label: str) -> None:
     """Check that an id is `<object>/<name>` for the object `label`; a `DatasetError` if it is not; names the rule."""
+    check_name(label, "object")
     head, slash, name = sample_id.partition("/")
     if not slash or head != label:
         raise DatasetError(f"id: {sample_id[:200]!r} is not {label[:100]!r}, a slash and a name")
-    check_name(head, "object")
     check_name(name, "id")

@@ -98,8 +98,17 @@ class SampleSet:
         ]
 
     def subset(self, numbers: Sequence[int]) -> "SampleSet":
-        """Return some samples by their numbers, in this order."""
+        """Return some samples by their numbers, in this order.
+
+        Args:
+            numbers: From 0, of all samples.
+
+        Raises:
+            DatasetError: If there is no sample of a number.
+        """
         kept = list(numbers)
+        if wrong := [k for k in kept if not 0 <= k < self.size]:
+            raise DatasetError(f"{self.path}: {wrong[0]} is not the number of a sample, 0 to {self.size - 1}")
         read = self.read
         name = self.name
         return replace(self, size=len(kept), read=lambda k: read(kept[k]), name=lambda k: name(kept[k]))

@@ -147,7 +147,7 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
         raise FileError(path, rule)
     if not clouds:
         formats = ", ".join(known + RECORDING_SUFFIXES)
-        raise FileError(path, f"suffix {path.suffix or 'absent'} is not one of {formats}")
+        raise FileError(path, f"the extension is not one of {formats}")
     more = f" and {len(left_out) - 1} more" if left_out[1:] else ""
     rule = "a depth image in a folder is NAME-depth or depth-NAME"
     notes = (f"{path}: left out: {left_out[0]}{more}; {rule}",) if left_out else ()

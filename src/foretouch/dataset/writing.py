@@ -19,7 +19,7 @@ from foretouch.dataset.grasp_arrays import GraspArrays, Missing, Remarks, stamp_
 from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
-from foretouch.errors import DatasetError, ForetouchError
+from foretouch.errors import DatasetError, ForetouchError, shown
 from foretouch.files import system_errors
 from foretouch.tactile.description import Sensor, load_sensor
 from foretouch.types import Sample
@@ -64,6 +64,11 @@ def write(
         DatasetError: If there is no sample, or one breaks a rule. The message names the sample, the field, the rule, and what to do.
         FileError: If the dataset is of another hand, camera or sensor, or cannot be written.
     """
+    for name, facts_given in (("hand", hand), ("camera", camera)):
+        if not isinstance(facts_given, Mapping | None):
+            raise DatasetError(f'{name}: {shown(facts_given)} is not a mapping, such as {{"name": "mine"}}')
+    if not isinstance(samples, Iterable):
+        raise DatasetError(f"samples: {type(samples).__name__} is neither a dataset, such as open(PATH), nor a list")
     if isinstance(samples, SampleSet):
         own = samples.sensor
         facts = samples.identity
@@ -94,12 +99,13 @@ def _made_of(
         if isinstance(record, Sample):
             yield record
             continue
+        if not isinstance(record, Mapping):
+            rule = "is neither a Sample nor a mapping; pass a list of them, or a dataset, such as open(PATH)"
+            raise DatasetError(f"sample {number}: {type(record).__name__} {rule}")
         try:
             yield GraspArrays(**record).sample(sensor, missing, remarks)
         except (TypeError, ValueError, AttributeError, ForetouchError) as err:  # of keys and values of other types
-            name = type(record).__name__
-            if isinstance(record, Mapping):
-                name = f"{record.get('object')}/{record.get('id') or number}"
+            name = f"{record.get('object')}/{record.get('id') or number}"[:100]
             fault = str(err).removeprefix("GraspArrays.__init__() ")
             raise DatasetError(f"sample {number} ({name}): {fault}") from err
 

@@ -111,7 +111,7 @@ def plan_grasps(cloud: Cloud, plane: Plane, config: GeoGraspConfig, **options: U
     limits = options.get("limits", DEFAULT_LIMITS)
     try:
         check_object(points.xyz, limits)
-        check_table(plane, limits)
+        check_table(plane, limits, points.xyz)
         if config.method == "completed":
             _plan_completed(plan, points, plane, config, options)
         else:

@@ -362,15 +362,15 @@ def _rotation_of(rpy: Sequence[float]) -> Float64:
     return np.asarray(about_z @ about_y @ about_x, np.float64)
 
 
+@cache
 def hand_files() -> dict[str, Path]:
     """Return the descriptions that come with the package, by name."""
     folder = Path(str(resources.files("foretouch.grasp"))) / "hands"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
-@cache
 def load_hand(hand: str | Path) -> Hand:
-    """Read a description, once.
+    """Read a description, once, and again when its file was changed.
 
     Args:
         hand: A YAML file, or the name of a description that comes with the package, such as `franka_hand`.
@@ -385,6 +385,12 @@ def load_hand(hand: str | Path) -> Hand:
                 f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(str(hand), known)}"
             )
         path = known[str(hand)]
+    return _read_hand(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=16)
+def _read_hand(path: Path, _changed_ns: int) -> Hand:
+    """Read the file of a description."""
     try:
         return Hand(HandDescription.from_mapping(load_yaml(path)))
     except ConfigError as err:

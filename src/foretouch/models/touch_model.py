@@ -18,7 +18,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
-from foretouch.errors import CloudError, FileError, ModelError, TactileError
+from foretouch.errors import CloudError, FileError, ModelError, TactileError, shown
 from foretouch.files import read_bytes, replace_files, system_errors
 from foretouch.grasp.pose import joined_faults, require_none, rotation_faults
 from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, reach_faults
@@ -76,6 +76,15 @@ class TouchModel:
     def simulated(self) -> bool:
         """Whether it was trained on simulated grasps, and so predicts for the simulated hand only."""
         return "scene_sha256" in self.card.get("data", {})
+
+    def is_same(self, other: "TouchModel") -> bool:
+        """Return whether another model is this one, or was loaded from a copy of its files.
+
+        Args:
+            other: The other model.
+        """
+        loaded = self.path is not None and other.path is not None
+        return other is self or (loaded and other.card == self.card)  # which has the hashes of the other files
 
     def save(self, folder: str | Path) -> Path:
         """Write card, weights and calibration to a folder, for `load_model`.
@@ -151,7 +160,8 @@ class TouchModel:
         if history is not None:
             if tare is not None:
                 raise ModelError("history: has tares and touches of its own")
-            if history.tracker.parameters is not self._calibrated().tracker_parameters:
+            self._calibrated()
+            if not self.is_same(history.model):
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
         cloud, own_table = _cloud_and_table(cloud)
         table = table or own_table
@@ -238,8 +248,11 @@ class TouchModel:
             (D,) float64; NaN of taxels that are dead in the training data, or whose reading cannot be used.
 
         Raises:
-            TactileError: If the reading is of another sensor, or not of working ones. The message names `what`.
+            TactileError: If the reading is of another sensor, or not of working ones, or no `Touch`. The message names `what`.
         """
+        if not isinstance(touch, Touch):
+            rule = "is not a Touch, such as Touch(values, model.sensor.channels)"
+            raise TactileError(f"{what}: {type(touch).__name__} {rule}")
         require_same(touch.channels, self.sensor.channels, what)
         if faults := touch_faults(touch):
             raise TactileError(f"{what}: {faults[0]}")
@@ -311,7 +324,7 @@ class History:
         model: A model with a calibration.
 
     Raises:
-        ModelError: If the model has no calibration.
+        ModelError: If the model has no calibration, or is a name.
 
     Attributes:
         tracker: What the readings say about the sensors and the current object.
@@ -324,6 +337,8 @@ class History:
     """
 
     def __init__(self, model: TouchModel) -> None:
+        if not isinstance(model, TouchModel):
+            raise ModelError(f"model: {shown(model)} is not a TouchModel, such as load_model()")
         self.model = model
         self.tracker = model.new_tracker()
         self.signature: tuple[str, Float64] | None = None

@@ -50,12 +50,15 @@ def draw_scene(
         The figure, in which panels without content are left out.
 
     Raises:
-        ConfigError: If there is no grasp of that number, or no object to it.
+        ConfigError: If there is no grasp of that number, or no object to it, or what is drawn is neither a scene nor an object.
+        GraspError: If the grasps are no sequence.
         FileError: If the file cannot be written.
     """
-    grasps = touch.grasps if grasps is None and touch is not None else grasps
+    if not isinstance(scene, Scene | Object):
+        raise ConfigError(f"scene: {type(scene).__name__} is neither a Scene, such as of segment(cloud), nor an Object")
+    grasps = touch.grasps if grasps is None and touch is not None else Grasps.of(grasps or [])
     grasp = None
-    if grasps is not None and len(grasps):
+    if len(grasps):
         if not 0 <= number < len(grasps):
             raise ConfigError(f"number: {number} is not one of the {len(grasps)} grasps, 0 to {len(grasps) - 1}")
         grasp = grasps[number]

@@ -74,7 +74,7 @@ def save_touch_picture(
         axes = part.subplots(1, len(left) + most, squeeze=False, width_ratios=[*left, *[1.9] * most])[0]
         views, fingers, unused = np.split(axes, [len(left), len(left) + len(row)])
         if grasp.target is not None and scenes:
-            title = f"what the camera sees\nof the table, {abs(grasp.target.plane.offset):.2f} m away"
+            title = f"what the camera sees\nof the object, {grasp.target.distance_m:.2f} m away"
             _draw_scene(views[0], grasp.scene or grasp.target.cloud, grasp.target, "" if title == seen else title)
             seen = title
         if grasp.target is not None:

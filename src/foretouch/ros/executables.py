@@ -15,7 +15,7 @@ from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts
 from foretouch.ros.graph import Graph
 from foretouch.ros.nodes import NODES
-from foretouch.ros.runtime.environment import prepare_environment
+from foretouch.ros.runtime.environment import check_variables, prepare_environment
 
 
 def run(*names: str, args: Sequence[str] | None = None) -> int:
@@ -31,8 +31,9 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv if args is None else args)
     _parser(names).parse_args(arguments[1:])
     end_at_once()  # the imports below may take seconds on a busy computer, and leave nothing to clean up
-    prepare_environment()
     try:
+        check_variables()
+        prepare_environment()
         for name in names:
             NODES[name]()
         raise_interrupts()

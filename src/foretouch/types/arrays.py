@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final, Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ForetouchError
+from foretouch.errors import ForetouchError, shown
 
 AnyArray = npt.NDArray[Any]
 Bool = npt.NDArray[np.bool_]
@@ -27,6 +27,23 @@ Rows: TypeAlias = slice | Index | Bool | Sequence[int]
 
 _ROW: Final = "row"  # key of the metadata of a column
 _REQUIRED: Final = object()
+
+
+def numbers(value: npt.ArrayLike, name: str, fault: type[ForetouchError]) -> Float64:
+    """Convert numbers, such as a list of them, to float64.
+
+    Args:
+        value: The numbers.
+        name: What they are, for the error.
+        fault: Type of the error.
+
+    Raises:
+        ForetouchError: Of the type `fault`, if they are no numbers.
+    """
+    try:
+        return np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        raise fault(f"{name}: {shown(value)} is not of numbers") from None
 
 
 def objects(rows: Sequence[Any] | AnyArray) -> Objects:

@@ -283,7 +283,9 @@ def _check_unit(depth: npt.NDArray[Any], kind: np.dtype[Any], scale: float) -> N
         return
     far = middle > _FARTHEST_M
     cure = (
-        "for millimetres pass scale=0.001 (--depth-scale 0.001)" if far else "for metres pass scale=1 (--depth-scale 1)"
+        "for millimetres pass scale=0.001 (--depth-scale 0.001; on a topic publish 16UC1)"
+        if far
+        else "for metres pass scale=1 (--depth-scale 1; on a topic publish 32FC1)"
     )
     side, unit = "beyond" if far else "within", f"{kind} with scale {scale:g}"
     raise CloudError(f"depth: half of the image is {side} {middle:.3g} m ({unit}): {cure}")

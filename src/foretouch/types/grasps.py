@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasps: two contacts and the orientation of the hand, one or K of them as columns."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Self, overload
 
 import numpy as np
 
 from foretouch.errors import ForetouchError, GraspError
-from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column
+from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +51,10 @@ class Grasp:
 
     def __post_init__(self) -> None:
         for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
-            given = getattr(self, name).shape
-            if given != shape:
-                raise GraspError(f"{name}: shape {given} is not {shape}")
+            array = numbers(getattr(self, name), name, GraspError)
+            if array.shape != shape:
+                raise GraspError(f"{name}: shape {array.shape} is not {shape}")
+            object.__setattr__(self, name, array)
         if fault := contact_faults(self.g1[None], self.g2[None], self.rotation[None])[0]:
             raise GraspError(fault)
 
@@ -117,9 +118,16 @@ class Grasps(Columns, Sequence[Grasp]):
 
         Args:
             grasps: K grasps on one cloud.
+
+        Raises:
+            GraspError: If it is not a sequence of grasps.
         """
         if isinstance(grasps, Grasps):
             return grasps
+        if isinstance(grasps, Grasp) or not isinstance(grasps, Iterable):
+            raise GraspError(f"grasps: {type(grasps).__name__} is not a sequence; of one grasp pass [grasp]")
+        if wrong := {type(grasp).__name__ for grasp in grasps if not isinstance(grasp, Grasp)}:
+            raise GraspError(f"grasps: holds {', '.join(sorted(wrong))}, not Grasp(g1, g2, rotation)")
         if not grasps:
             return NO_GRASPS
         columns: dict[str, Any] = {}

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Final, Literal, NamedTuple, Self, overload
 import numpy as np
 
 from foretouch.errors import ForetouchError, TactileError
-from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, objects
+from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects
 from foretouch.types.channels import NO_CHANNELS, Channels
 from foretouch.types.grasps import Grasp, Grasps
 
@@ -33,11 +33,10 @@ class Touch:
     channels: Channels  # what they are
 
     def __post_init__(self) -> None:
-        if self.values.shape != (self.channels.size,):
-            name = self.channels.sensor
-            raise TactileError(f"touch: shape {self.values.shape} is not ({self.channels.size},) of {name}")
-        if self.values.dtype != np.float64:
-            object.__setattr__(self, "values", self.values.astype(np.float64))
+        values = numbers(self.values, "touch", TactileError)
+        if values.shape != (self.channels.size,):
+            raise TactileError(f"touch: shape {values.shape} is not ({self.channels.size},) of {self.channels.sensor}")
+        object.__setattr__(self, "values", values)
 
     @classmethod
     def unknown(cls, channels: Channels) -> Self:

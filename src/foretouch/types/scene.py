@@ -17,6 +17,7 @@ NEAR_M: Final = 0.03
 
 _ON_TABLE_M: Final = 0.01  # from the plane of the table
 _OBSTACLE_POINTS: Final = 400  # at most, of each object
+_SAME_POINT_M: Final = 0.005  # between points of one object, if one of the clouds was thinned or smoothed
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +36,26 @@ class Obstacles:
         ids = [np.full(len(xyz), k, np.int32) for k, xyz in sampled]
         return cls(np.concatenate([xyz for _, xyz in sampled]), np.concatenate(ids))
 
-    def without(self, object_id: str) -> "Obstacles":
-        """Return the obstacles for grasps on one object: all others."""
-        others = self.object_ids != (int(object_id) if object_id.isdecimal() else -1)
+    def without(self, target: "Object") -> "Obstacles":
+        """Return the obstacles for grasps on one object: all others.
+
+        Args:
+            target: The object. If its id is a name, it is each object of the scene that has most of its points on it.
+        """
+        if target.id.isdecimal():
+            others = self.object_ids != int(target.id)
+        else:
+            others = ~np.isin(self.object_ids, self._at(target.cloud.finite))
         return Obstacles(self.xyz[others], self.object_ids[others])
+
+    def _at(self, xyz: Float32) -> list[int]:
+        """Return the ids of the objects that have most of their points at some of (N, 3) points."""
+        from scipy.spatial import cKDTree
+
+        if not len(xyz):
+            return []
+        near = cKDTree(xyz).query(self.xyz, distance_upper_bound=_SAME_POINT_M)[0] < _SAME_POINT_M
+        return [k for k in np.unique(self.object_ids).tolist() if near[self.object_ids == k].mean() > 0.5]
 
 
 @dataclass(frozen=True, eq=False)

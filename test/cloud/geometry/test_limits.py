@@ -35,6 +35,18 @@ def test_objects_within_the_limits_which_are_settings_and_tables_that_a_camera_s
     every_case([*seen, (0, -0.9, -0.4, 1.2)], lambda *plane: check_table(Plane.from_coefficients(plane)))
 
 
+def test_an_object_that_its_table_cannot_carry_gets_no_grasp() -> None:
+    xyz = _ball(0.04, 1.2)
+    for offset in (-1.19, -1.24, -1.5):  # through it, under it, and what lies on something else
+        check_table(Plane.from_coefficients((0, 0, 1, offset)), xyz=xyz)
+    check_table(Plane.from_coefficients((0, 0, 1, -1.0)), ObjectLimits(min_range_m=0.0), xyz)
+    for offset, words in ((-1.1, "0.06 m below"), (-5.0, "3.76 m above")):
+        for sign in (1, -1):
+            plan = plan_grasps(Cloud(xyz), Plane.from_coefficients((0, 0, sign, sign * offset)), GeoGraspConfig())
+            assert (plan.status, len(plan.grasps)) == ("no_grasp", 0)
+            assert plan.reason == f"plane: all of the object is {words} it; is it the table, in the frame of the cloud?"
+
+
 TO_BASE = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)  # x forward, y left, z up
 FRAMES = {  # a ball at 0.6 m, as others store it
     "link of a camera": (TO_BASE, "but in view along x, as in the frame of a link"),

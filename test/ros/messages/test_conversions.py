@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is received is what was sent, to the last bit, or refused with a status and a reason in one line."""
 
+import copy
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -164,15 +165,19 @@ HEADER = header_to_msg("camera", 5)
 
 def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
     prediction = Prediction.of(UNIT, biotac_touch(np.full(50, 2000.0)))
-    good, strange = (touch_message(prediction, grasp_to_msg(UNIT), HEADER) for _ in range(2))
+    on_third = grasp_to_msg(replace(UNIT, object_id="3"))
+    good, strange = (touch_message(prediction, copy.deepcopy(on_third), HEADER) for _ in range(2))
     strange.reference = 77
     reason = "reference: 77 is not one of none, tare, touches, history"
     with pytest.raises(ModelError, match=reason):
         prediction_from_msg(strange)
     assert reference_text(strange) == "reference 77"
-    bad = grasp_to_msg(UNIT)
+    bad = copy.deepcopy(on_third)
     bad.g1.x = float("nan")
     refused = touch_message(refusal("bad_grasp", "g1: is not finite"), bad, HEADER)
     lines = answer_record(TouchPredictionArray(header=HEADER, predictions=[good, strange, refused]))["predictions"]
-    assert lines[0]["status"] == "ok"
-    assert lines[1:] == [{"status": "failed", "reason": reason}, {"status": "bad_grasp", "reason": "g1: is not finite"}]
+    assert (lines[0]["status"], lines[0]["object"]) == ("ok", "3")
+    assert lines[1:] == [
+        {"object": "3", "status": "failed", "reason": reason},
+        {"object": "3", "status": "bad_grasp", "reason": "g1: is not finite"},
+    ]

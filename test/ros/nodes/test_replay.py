@@ -19,7 +19,7 @@ from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, Topic
 from foretouch.dataset.bag_writer import BagWriter, write_bag
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.replay import playable
-from foretouch.types import CameraModel, Cloud, stamp_ns
+from foretouch.types import CameraModel, Cloud, assumed_table, stamp_ns
 from foretouch_msgs.msg import TablePlane, TouchPredictionArray
 
 pytestmark = pytest.mark.ros
@@ -186,6 +186,10 @@ def test_files_of_objects_are_published_behind_the_segmentation_and_images_befor
     summary = node.statistics.summary()
     assert (summary.received, summary.used, dict(summary.dropped)) == (3, 2, {"unreadable": 1})
     assert node.first_refusal.startswith(f"{tmp_path / '1.pcd'}: ")
+    graph.remove(node)
+    node, received = play(graph, tmp_path, topics, rate_hz=20.0)  # where the commands assume the table
+    for cloud, table in zip(received["object_cloud"], received["table"], strict=True):
+        np.testing.assert_array_equal(table.plane.coef, assumed_table(decode_cloud(cloud)).coefficients)
     graph.remove(node)
     (tmp_path / "images").mkdir()
     write_cloud(tmp_path / "images" / "0.npz", make_clouds(rng, 1)[0])

@@ -31,6 +31,8 @@ class ObjectLimits(Settings):
 
 DEFAULT_LIMITS = ObjectLimits()
 
+_BELOW_M = 0.01  # by which a flat object may be below its table, which is estimated
+
 
 def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
     """Check range, size and frame of an object.
@@ -73,15 +75,16 @@ def _unit(length: float) -> str:
     return "; is it in metres? Multiply millimetres by 0.001" if abs(length) > 10.0 else ""
 
 
-def check_table(plane: Plane, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
-    """Check that a table is in front of the camera, which is at the origin and looks along z.
+def check_table(plane: Plane, limits: ObjectLimits = DEFAULT_LIMITS, xyz: Float32 | None = None) -> None:
+    """Check that a table is in front of the camera, which is at the origin and looks along z, and carries its object.
 
     Args:
         plane: The table; one through the camera itself is accepted.
         limits: Range; with a `min_range_m` of 0 the cloud may be in any frame, and the table on any side.
+        xyz: (..., 3) float32 [m], points of the object, if there is one. Points that are not finite are ignored.
 
     Raises:
-        LimitError: If it is behind the camera, or out of range.
+        LimitError: If it is behind the camera, out of range, or all of the object is below it or far above it.
     """
     if not abs(plane.offset) <= limits.max_range_m:
         raise LimitError(
@@ -94,3 +97,13 @@ def check_table(plane: Plane, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
     # n·p + d = 0 has no solution p = t (u, v, 1) with t > 0 in the field of view.
     if (plane.offset > 0.0 and z - sideways >= 0.0) or (plane.offset < 0.0 and z + sideways <= 0.0):
         raise LimitError(f"plane: {plane.coefficients.tolist()} is behind the camera")
+    if xyz is None or abs(plane.offset) <= _BELOW_M:
+        return
+    heights = plane.towards_camera.height(xyz.reshape(-1, 3))
+    heights = heights[np.isfinite(heights)]
+    if not heights.size:
+        return
+    low, high = float(heights.min()), float(heights.max())
+    if low > limits.max_extent_m or high < -_BELOW_M:
+        where = f"{low:.3g} m above" if low > 0.0 else f"{-high:.3g} m below"
+        raise LimitError(f"plane: all of the object is {where} it; is it the table, in the frame of the cloud?")

@@ -287,7 +287,7 @@ class RecordingWriter:
             sample = replace(sample, id=numbered_id(sample.object, self._last_number + 1))
         if sample.id in self._ids:
             text = f"id {sample.id} is taken; `foretouch dataset build` joins datasets with equal ids"
-            raise DatasetError(f"{self.path}: {text}")
+            raise DatasetError(f"{self.path.name}: {text}")
         return sample
 
     def _require_open(self) -> None:

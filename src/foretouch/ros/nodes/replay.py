@@ -25,19 +25,20 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch.cloud.io.depth_files import DepthCamera
-from foretouch.cloud.messages import read_header, with_stamp
+from foretouch.cloud.messages import decode_cloud, read_header, with_stamp
 from foretouch.config import setting
 from foretouch.dataset.bag import Topic
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries
 from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
+from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.messages.tactile import message_class
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.discovery import ends_of_topics, is_heard_outside
 from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
-from foretouch.types import ASSUMED_TABLE, Plane, stamp_ns
+from foretouch.types import Plane, assumed_table, stamp_ns
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
@@ -105,8 +106,8 @@ class ReplayConfig(NodeConfig):
         0.0, "Metres per unit of depth files; 0: the files' own", bounds=(0.0, 1.0), read_only=True
     )
     table: tuple[float, ...] = setting(
-        tuple(map(float, ASSUMED_TABLE.coefficients)),
-        "a, b, c, d of the plane published with `object_cloud`",
+        (0.0, 0.0, 0.0, 0.0),
+        "a, b, c, d of the plane published with `object_cloud`; zeros: below a camera that looks straight down, at the farthest point",
         read_only=True,
     )
     rate_hz: float = setting(
@@ -136,7 +137,7 @@ class ReplayConfig(NodeConfig):
         super().__post_init__()
         if len(self.intrinsics) != 4:
             raise ConfigError(f"intrinsics: {list(self.intrinsics)} is not fx, fy, cx, cy")
-        if len(self.table) != 4 or not any(self.table[:3]):
+        if len(self.table) != 4 or (any(self.table) and not any(self.table[:3])):
             raise ConfigError(f"table: {list(self.table)} is not a plane a, b, c, d")
 
     @property
@@ -333,8 +334,12 @@ class ReplayNode(ThreadNode[ReplayConfig]):
     def _publish_cloud(self, data: bytes) -> None:
         stamp_ns, frame_id = read_header(data)
         if self._table is not None:
-            plane = plane_to_msg(Plane.from_coefficients(self.config.table))
-            self._table.publish(TablePlane(header=header_to_msg(frame_id, stamp_ns), plane=plane, status=Status.OK))
+            if any(self.config.table):
+                plane = Plane.from_coefficients(self.config.table)
+            else:
+                plane = assumed_table(decode_cloud(read_serialized(data, PointCloud2)))
+            header = header_to_msg(frame_id, stamp_ns)
+            self._table.publish(TablePlane(header=header, plane=plane_to_msg(plane), status=Status.OK))
         self._topic_publishers[CLOUDS].publish(data)
         self.played[self.clouds_topic] += 1
         if self.config.lockstep:

@@ -13,6 +13,7 @@ import stat
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import metadata
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Final
@@ -29,7 +30,30 @@ _NEEDED_MB: Final = 256.0  # three segments of 64 MB and a reserve; Docker gives
 FAST_DDS: Final = "rmw_fastrtps_cpp"
 """The middleware that foretouch is tested with, and that its shared-memory profile is for."""
 
+_LAST_DOMAIN: Final = 232
+
 _PROFILE_VARIABLES = {"fastdds": "FASTDDS_DEFAULT_PROFILES_FILE", "fastrtps": "FASTRTPS_DEFAULT_PROFILES_FILE"}
+
+
+def wheels_of_ros() -> str:
+    """Return the release of ROS 2 whose wheels of PyPI are installed, such as "jazzy"; "" without."""
+    releases = {"ros-rclpy": "kilted", "ros-jazzy-rclpy": "jazzy"}
+    return next((releases[wheel.name] for wheel in metadata.distributions() if wheel.name in releases), "")
+
+
+def check_variables() -> None:
+    """Refuse variables of ROS with which loading or starting rclpy ends the process.
+
+    Raises:
+        ConfigError: Names the variable: a domain that Fast DDS has no ports for, or a middleware that wheels of PyPI lack.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
+        raise ConfigError(f"ROS_DOMAIN_ID: {domain!r} is not a whole number from 0 to {_LAST_DOMAIN}")
+    middleware = os.environ.get("RMW_IMPLEMENTATION") or FAST_DDS
+    if middleware != FAST_DDS and wheels_of_ros():
+        rule = f"ROS 2 from PyPI has {FAST_DDS} alone: unset RMW_IMPLEMENTATION in this terminal"
+        raise ConfigError(f"RMW_IMPLEMENTATION: {middleware!r} is not installed; {rule}")
 
 
 def prepare_environment() -> None:

@@ -158,7 +158,7 @@ def _axis(target: Object, config: TouchSettings, posing: GeoGraspConfig | None) 
         raise GraspError("pose: no orientation, and no table to compute it with")
     check_object(target.cloud.xyz, config.limits)
     try:
-        check_table(target.plane, config.limits)
+        check_table(target.plane, config.limits, target.cloud.xyz)
     except LimitError as err:
         raise RefusalError(Status.BAD_PLANE, str(err)) from err
     return object_axis(target.cloud, target.plane, posing)[0]

@@ -80,7 +80,7 @@ class Selection:
         """Find the labels for a cloud; None where objects are found without.
 
         Raises:
-            RefusalError: If there is no mask for it, or it cannot be read.
+            RefusalError: If there is no mask for it, or it cannot be read or is of another frame.
         """
         config = self._node.config
         if config.mask == "none":
@@ -100,6 +100,9 @@ class Selection:
                 else f"mask of this stamp came within {config.mask_wait_s:g} s"
             )
             raise RefusalError(Status.BAD_REQUEST, f"mask: no {which} on {self._node.resolve_topic_name(_MASK_TOPIC)}")
+        if (frame := message.header.frame_id) not in ("", cloud.frame_id):
+            rule = f"is not the frame of the image, {cloud.frame_id!r}: label the pixels of the depth image"
+            raise RefusalError(Status.UNKNOWN_FRAME, f"mask: frame {frame!r} {rule}")
         try:
             return decode_mask(message)
         except CloudError as err:
