@@ -8,7 +8,7 @@ image, with its holes and the dents that things leave which hide it. Other parts
 - `beyond_table`: it stands outside of the outline.
 - `floating`: it touches neither the table nor an object in the image, and its points are all high.
 - `wall`: it lies in the plane of a part beyond the table that it is joined to, or it is a side of a bin: a long upright sheet
-  that meets another one, or has its height.
+  that meets another one, or has its height; all sides in one, with the table between them; or a piece of their rim.
 """
 
 from collections.abc import Sequence
