@@ -44,10 +44,11 @@ from foretouch_lab.simulation.world import SampleKey
 # Of a number that is drawn for each scene from 0 to 1: up to the first it gets white noise, then up to the second a Kinect's
 # faults, then up to the third those of cameras that match windows; from there on, an object alone is cut out.
 WHITE, FAULTY, BLURRED = 0.1, 0.4, 0.7
+TWICE: Final = ("arr", "behind")  # sets whose pairs count twice: large objects beside and before each other are few
 HELD_OUT: Final = 10  # every so many piles, with all their views, are not learned from
 DEPTH, RATE = 5, 0.15
 ROUNDS: Final = (200, 300, 400)  # trees
-FEATURES: Final = 38  # of a pair of fragments, see `describe` of kernels/split.c
+FEATURES: Final = 62  # of a pair of fragments, see `describe` of kernels/split.c
 LESS, MORE = (0,), (2, 6, 7)  # concave borders tell against one object; convex ones, and surfaces that agree, for it
 # Of the first round: joined across borders that bend by less than 26 degrees.
 FIRST: Final = np.array([[0, np.radians(26.0), 1, -1]], np.float32)
@@ -537,9 +538,11 @@ def main() -> None:
     trees, rows, same = FIRST, [], []
     with Pool(options.jobs) as pool:
         for number, count in enumerate(ROUNDS):
-            for x, y in pool.imap(partial(pairs_of, trees, number), known, chunksize=8):
-                rows.append(x)
-                same.append(y)
+            pairs = pool.imap(partial(pairs_of, trees, number), known, chunksize=8)
+            for path, (x, y) in zip(known, pairs, strict=True):
+                times = 2 if path.parent.name in TWICE else 1
+                rows += times * [x]
+                same += times * [y]
             trees = learned(rows, same, count)
             means = summary(pool.imap(partial(score_of, trees), new, chunksize=8))
             scores = {name: round(value, 3) for name, value in means.items()}

@@ -31,9 +31,9 @@ enum { TINY_ONES, RATED_ONES, SMALL_ONES };                       /* that are jo
 #define EVEN 0.02   /* share of the normals in all directions that is assumed besides those that are seen */
 
 /* Sums over the cells of a fragment: of points p about an origin, and where there is a normal n of p, n and m = p x n. */
-enum { CELLS, AREA, OUTLINE, P, PP = P + 3, SEEN = PP + 6, HOLLOWS, PN, Q, N = Q + 3, NN = N + 3, NM = NN + 6, MM = NM + 9, SUMS = MM + 6 };
-/* and over the edges of a border: `before` those where the first is nearer less the others, then lines behind a nearer part. */
-enum { LENGTH, BENT, STEPS, CONVEX, SIGNED, BEFORE, STEPPED, LINES, AGREE, EDGES, FEATURES = 38 };
+enum { CELLS, AREA, OUTLINE, P, PP = P + 3, SEEN = PP + 6, HOLLOWS, PN, Q, N = Q + 3, NN = N + 3, NM = NN + 6, MM = NM + 9, TOUCH = MM + 6, SUMS };
+/* and over the edges of a border: `before` those where the first is nearer less the others, then lines behind a nearer part, and points. */
+enum { LENGTH, BENT, STEPS, CONVEX, SIGNED, BEFORE, STEPPED, LINES, AGREE, SHARP, UNEVEN, MIDDLE, EDGES = MIDDLE + 3, FEATURES = 62 };
 
 typedef struct {
     float p[3], d, n[3]; /* mean point [m], its inverse depth, normal towards the camera; NAN where there is none */
@@ -41,7 +41,7 @@ typedef struct {
 } cell;
 
 typedef struct {
-    double c[3], n[3], flat, thin, out; /* middle, mean normal and its length, thickness, mean of n (p - c) */
+    double c[3], n[3], flat, thin, slim, full, out; /* middle, mean normal and its length, thickness, width per length, area per both, mean of n (p - c) */
     double u[3], axis[3], miss, next, side; /* axis that the normals meet, how far they miss it and the next best, share across it */
 } shape;
 
@@ -361,9 +361,14 @@ static void measure(graph *g) {
                 border *of = border_of(g, c->part, o->part);
                 const double before = (c->p[2] < o->p[2]) == (c->part == of->a) ? 1.0 : -1.0;
                 const int step = bend == STEP;
-                of->sum[LENGTH] += 1.0, of->sum[BENT] += bend > FULL ? FULL : bend < 0.0f ? 0.0f : bend;
+                const float even = bend > FULL ? FULL : bend < -FULL ? -FULL : bend;
+                of->sum[LENGTH] += 1.0, of->sum[BENT] += even < 0.0f ? 0.0f : even, of->sum[UNEVEN] += even * even, of->sum[SHARP] += bend > (float)g->s[BEND];
                 of->sum[STEPS] += step, of->sum[CONVEX] += bend < -CONVEX_BEND, of->sum[SIGNED] += step ? 0.0f : bend;
                 of->sum[BEFORE] += before, of->sum[STEPPED] += step ? before : 0.0;
+                g->fragments[c->part].sum[TOUCH] += 1.0, g->fragments[o->part].sum[TOUCH] += 1.0;
+                for (int k = 0; k < 3; k++) {
+                    of->sum[MIDDLE + k] += (c->p[k] + o->p[k]) / 2.0 - g->origin[k];
+                }
             }
         }
     }
@@ -438,6 +443,7 @@ static void derive(const double *s, shape *is) {
         spread[AT[k]] = s[PP + AT[k]] / s[CELLS] - is->c[k / 3] * is->c[k % 3];
     }
     eigen3(spread, values, v);
+    is->slim = sqrt(fabs(values[1] / (values[2] + 1e-9))), is->full = s[AREA] / (12.0 * sqrt(fabs(values[1] * values[2]) + 1e-12));
     is->thin = sqrt(values[0] > 0.0 ? values[0] : 0.0), is->flat = length / seen, is->out = (s[PN] - dot(s + N, q)) / seen;
     const double shift[9] = {0.0, -q[2], q[1], q[2], 0.0, -q[0], -q[1], q[0], 0.0}; /* q x n: from the origin to the middle */
     for (int k = 0; k < 9; k++) {
@@ -483,7 +489,7 @@ static void describe(const graph *g, const border *of, double *x) {
     const fragment *large = g->fragments + (swap ? of->b : of->a), *small = g->fragments + (swap ? of->a : of->b), *both[2] = {small, large};
     const double *b = of->sum, *t = g->s + PLANE, sign = swap ? 1.0 : -1.0, length = b[LENGTH] > 0.0 ? b[LENGTH] : 1.0;
     const double firm = b[LENGTH] > b[STEPS] ? b[LENGTH] - b[STEPS] : 1.0, side = sqrt(small->sum[AREA] / small->sum[CELLS]);
-    double sum[SUMS], apart[3], turn[3], away[3], beside[3];
+    double sum[SUMS], apart[3], turn[3], away[3], beside[3], at[3]; /* from the middle of the larger one to that of the smaller one, and of the border */
     shape all;
     for (int k = 0; k < SUMS; k++) {
         sum[k] = small->sum[k] + large->sum[k];
@@ -491,8 +497,11 @@ static void describe(const graph *g, const border *of, double *x) {
     derive(sum, &all);
     for (int k = 0; k < 3; k++) {
         apart[k] = small->is.c[k] - large->is.c[k], turn[k] = small->is.n[k] - large->is.n[k], away[k] = small->is.c[k] - large->is.axis[k];
+        at[k] = b[LENGTH] > 0.0 ? b[MIDDLE + k] / length - large->is.c[k] : 0.0;
     }
     cross(away, large->is.u, beside);
+    const double far = dot(apart, apart) + 1e-9, high = b[LENGTH] > 0.0 ? dot(t, at) + dot(t, large->is.c) + dot(t, g->origin) + t[3] : 0.0;
+    const double top = fmin(small->top, large->top), bottom = fmax(small->bottom, large->bottom), seen = sum[SEEN] > 0.0 ? sum[SEEN] : 1.0;
     *x++ = b[BENT] / length, *x++ = b[STEPS] / length, *x++ = b[CONVEX] / length, *x++ = b[SIGNED] / firm;
     *x++ = sign * b[BEFORE] / length, *x++ = sign * b[STEPPED] / (b[STEPS] > 0.0 ? b[STEPS] : 1.0);
     *x++ = b[LINES] > 0.0 ? b[AGREE] / b[LINES] : -1.0, *x++ = b[AGREE] / sqrt(small->sum[CELLS]);
@@ -501,11 +510,18 @@ static void describe(const graph *g, const border *of, double *x) {
         *x++ = b[LENGTH] * side / sqrt(f->sum[AREA]), *x++ = b[LENGTH] / f->sum[OUTLINE];
         *x++ = f->is.flat, *x++ = f->is.thin, *x++ = f->is.side, *x++ = f->is.out / sqrt(f->sum[AREA]);
         *x++ = fabs(dot(f->is.n, apart)), *x++ = f->sum[HOLLOWS] / (f->sum[SEEN] > 0.0 ? f->sum[SEEN] : 1.0);
+        *x++ = sqrt(f->sum[CELLS]), *x++ = f->bottom, *x++ = f->top, *x++ = f->sum[TOUCH] / f->sum[OUTLINE], *x++ = f->is.slim;
     }
     *x++ = sqrt(small->sum[AREA] / large->sum[AREA]), *x++ = sqrt(dot(turn, turn)), *x++ = dot(large->is.n, apart), *x++ = dot(small->is.n, apart);
     *x++ = dot(t, apart), *x++ = small->top - large->top, *x++ = small->bottom - large->bottom;
     *x++ = large->is.miss, *x++ = fabs(dot(large->is.u, t)), *x++ = sqrt(dot(beside, beside));
-    *x++ = all.miss, *x++ = all.next, *x++ = fabs(dot(all.u, t)), *x++ = all.thin;
+    *x++ = all.miss, *x++ = all.next, *x++ = fabs(dot(all.u, t)), *x++ = all.thin, *x++ = all.full, *x++ = small->is.miss;
+    *x++ = b[SHARP] / length, *x++ = sqrt(fabs(b[UNEVEN] / length - b[SIGNED] / length * b[SIGNED] / length));
+    *x++ = all.miss - sqrt((small->is.miss * small->is.miss * small->sum[SEEN] + large->is.miss * large->is.miss * large->sum[SEEN]) / seen);
+    *x++ = all.thin - sqrt((small->is.thin * small->is.thin * small->sum[CELLS] + large->is.thin * large->is.thin * large->sum[CELLS]) / sum[CELLS]);
+    *x++ = top - high, *x++ = high - bottom, *x++ = high / fmax(top, 0.005), *x++ = dot(small->is.n, at) - dot(small->is.n, apart), *x++ = dot(large->is.n, at);
+    *x++ = (dot(all.n, at) - dot(at, apart) / far * dot(all.n, apart)) / sqrt(far), *x++ = all.out / sqrt(sum[AREA]);
+    *x++ = (all.out - (small->is.out * small->sum[SEEN] + large->is.out * large->sum[SEEN]) / seen) / sqrt(sum[AREA]);
 }
 
 /* JOINING. Rates a border by trees: log odds that its fragments are one object. With room for it, the row is kept for learning, after the
@@ -553,7 +569,7 @@ static void join_pair(graph *g, int32_t a, int32_t b) {
         border of = g->borders[k];
         of.a = of.a == b ? a : of.a, of.b = of.b == b ? a : of.b;
         if (of.a == of.b) {
-            to->sum[OUTLINE] -= 2.0 * of.sum[LENGTH];
+            to->sum[OUTLINE] -= 2.0 * of.sum[LENGTH], to->sum[TOUCH] -= 2.0 * of.sum[LENGTH];
             continue;
         }
         if (of.a > of.b) {

@@ -44,10 +44,11 @@ class Split:
     def _make_cell(self, at: tuple[int, int], solid: Array) -> None:
         window = tuple(slice(i * self.k, (i + 1) * self.k) for i in at)
         here, z, labels = solid[window].astype(bool), self.xyz[window][..., 2], self.labels[window]
+        middle = tuple((2 * (i * self.k) + n) // 2 - i * self.k for i, n in zip(at, here.shape, strict=True))
+        self.p[at], self.d[at] = self.xyz[window][middle], 1.0 / z[middle]  # of no part
         if not here.any():
             return
         first = np.argmax(here.any(axis=1))
-        middle = tuple((2 * (i * self.k) + n) // 2 - i * self.k for i, n in zip(at, here.shape, strict=True))
         chosen = middle if here[middle] else (first, np.flatnonzero(here[first])[-1])
         self.cluster[at] = labels[chosen]
         if self.cluster[at]:
@@ -215,12 +216,16 @@ class Split:
         found += [before.sum() / count, before[steps].sum() / max(1, steps.sum())]
         found += [np.mean(agree) if agree else -1.0, np.sum(agree) / np.sqrt(one["cells"])]
         side, other = np.sqrt(area[small] / one["cells"]), np.pad(part, ((0, 1), (0, 1)))
-        for k, shape in ((small, one), (large, two)):
+        up, heights = self.table[:3], [self.p[part == k] @ self.table[:3] + self.table[3] for k in (small, large)]
+        touching = self.edges(part)[1]
+        for k, shape, above in ((small, one, heights[0]), (large, two, heights[1])):
             edges = [((other == k) != (np.roll(other, 1, axis=axis) == k))[1 - axis :, axis:] for axis in (0, 1)]
-            found += [len(bends) * side / np.sqrt(area[k]), len(bends) / sum(edge.sum() for edge in edges)]
+            outline = sum(edge.sum() for edge in edges)
+            found += [len(bends) * side / np.sqrt(area[k]), len(bends) / outline]
             found += [shape["flat"], shape["thin"], shape["side"], shape["out"] / np.sqrt(area[k])]
             found += [abs(shape["normal"] @ apart), shape["hollow"]]
-        up, heights = self.table[:3], [(self.p[part == k] @ self.table[:3]) for k in (small, large)]
+            touch = (touching == k).any(axis=1).sum()
+            found += [np.sqrt(shape["cells"]), above.min(), above.max(), touch / outline, shape["slim"]]
         found += [
             np.sqrt(area[small] / area[large]),
             np.linalg.norm(turn),
@@ -229,7 +234,22 @@ class Split:
         ]
         found += [up @ apart, heights[0].max() - heights[1].max(), heights[0].min() - heights[1].min()]
         found += [two["miss"], abs(two["u"] @ up), beside]
-        return [*found, both["miss"], both["next"], abs(both["u"] @ up), both["thin"]]
+        size = area[small] + area[large]
+        found += [both["miss"], both["next"], abs(both["u"] @ up), both["thin"], size / both["spread"], one["miss"]]
+        uneven = (np.clip(bends, -_FULL, _FULL) ** 2).sum() / count - (bends[~steps].sum() / count) ** 2
+        found += [(bends > self.angle).sum() / count, np.sqrt(abs(uneven))]
+        for key, of in (("miss", "seen"), ("thin", "cells")):
+            apiece = (one[key] ** 2 * one[of] + two[key] ** 2 * two[of]) / max(1, one[of] + two[of])
+            found.append(both[key] - np.sqrt(apiece))
+        middle = self.p[ends[..., 0], ends[..., 1]].mean(axis=(0, 1)) if len(bends) else two["middle"]
+        at, high = middle - two["middle"], middle @ up + self.table[3] if len(bends) else 0.0
+        top, bottom = min(above.max() for above in heights), max(above.min() for above in heights)
+        found += [top - high, high - bottom, high / max(top, 0.005)]
+        far = apart @ apart + 1e-9
+        valley = (both["normal"] @ at - (at @ apart) / far * (both["normal"] @ apart)) / np.sqrt(far)
+        found += [one["normal"] @ at - one["normal"] @ apart, two["normal"] @ at, valley]
+        out = (one["out"] * one["seen"] + two["out"] * two["seen"]) / max(1, one["seen"] + two["seen"])
+        return [*found, both["out"] / np.sqrt(size), (both["out"] - out) / np.sqrt(size)]
 
     def shape(self, of: Array) -> dict[str, Any]:
         """The shape of cells; the axis that their normals meet is that of a linear complex of lines (Pottmann, Randrup 1998)."""
@@ -241,12 +261,16 @@ class Split:
         values, vectors = np.linalg.eigh(m.T @ m - (n.T @ m).T @ np.linalg.solve(even, n.T @ m))
         u, length = vectors[:, 0], np.linalg.norm(n.sum(axis=0))
         bent = ((self.bends > _HOLLOW) & (self.bends < _STEP)).any(axis=-1)
+        spread = np.linalg.eigvalsh(np.cov(self.p[of].T, bias=True))
         return {
             "cells": np.count_nonzero(of),
+            "seen": np.count_nonzero(seen),
             "middle": self.p[of].mean(axis=0),
             "normal": n.sum(axis=0) / length if length else np.zeros(3),
             "flat": length / count,
-            "thin": np.sqrt(max(0.0, np.linalg.eigvalsh(np.cov(self.p[of].T, bias=True))[0])),
+            "thin": np.sqrt(max(0.0, spread[0])),
+            "slim": np.sqrt(abs(spread[1] / (spread[2] + 1e-9))),
+            "spread": 12.0 * np.sqrt(abs(spread[1] * spread[2]) + 1e-12),
             "out": ((p - middle) * n).sum() / count,
             "hollow": np.count_nonzero(bent & seen) / count,
             "u": u,
@@ -283,14 +307,14 @@ class Split:
         """The first cell along a line behind the nearer ones that hide a surface."""
         hidden = shown = 0
         for to in self.line(at, axis):
-            if not self.cluster[to]:
+            if not np.isfinite(self.d[to]):
                 continue
             if part[to] == part[at]:
                 return None
             depth = self.on_ray(surface, to)
-            if self.p[to][2] < depth and 1.0 / self.p[to][2] > 1.0 / depth + self.step / depth**2:
+            if self.cluster[to] and self.p[to][2] < depth and self.d[to] > 1.0 / depth + self.step / depth**2:
                 hidden += 1
-            elif hidden:
+            elif self.cluster[to] and hidden:
                 return to
             else:
                 shown += 1

@@ -34,7 +34,7 @@ _concave = Kernel("concave_nodes")
 
 SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_border", "joined_hidden")
 TREES = Path(__file__).with_name("same_object.safetensors")
-_NO_ROWS = np.empty((0, 40))
+_NO_ROWS = np.empty((0, 64))
 _MAX_CELL = 8  # pixels
 _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
@@ -66,7 +66,7 @@ class SplitConfig(Settings):
         bounds=(0.002, 0.02),
     )
     same_object: float = setting(
-        0.7,
+        0.65,
         "Fragments are joined if the probability that they are one object is higher: less cuts fewer objects, more merges fewer",
         bounds=(0.01, 0.99),
     )
@@ -144,7 +144,7 @@ def split_window(
         window: Its clusters.
         cell: Side of a cell [px].
         settings: Numbers of the kernel.
-        rows: (n, 40) float64, written: the pixels of both fragments in whole cells, and the input of the trees, of the first pairs that are rated.
+        rows: (n, 64) float64, written: the pixels of both fragments in whole cells, and the input of the trees, of the first pairs that are rated.
 
     Returns:
         The parts (h, w) int32, and the number of parts, those that were joined for each reason, and the pairs that were rated.
