@@ -180,6 +180,7 @@ REFUSED = (  # nodes and parameters of a file
     ("/left/perceptoin", "autostart: true", "did you mean /foretouch/perception?"),
     ("/foretouch/touch_predictor", "use_tarre: false", ": use_tarre: unknown parameter; did you mean use_tare?"),
     ("/foretouch/grasp", "use_tare: false", ": use_tare: unknown parameter"),  # a parameter of another node
+    ("/foretouch/grasp", "off: 2", ": False: unknown parameter"),  # which YAML reads so
     ("/foretouch/perception", "latency_budget_ms: 5.0", "latency_budget_ms: was removed in 0.4"),
     ("/**", "late_after: 5.0", "did you mean late_after_s?"),
     ("/foretouch/*", "silense_s: 3.0", "did you mean silence_s?"),
