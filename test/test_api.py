@@ -269,6 +269,9 @@ def test_the_drawing_has_what_is_given(scene, tmp_path):
     )  # objects stand above the table
     refused = ft.Predictions.refused(grasps, touch.channels, "refused", "too wide")
     assert "too wide" in ft.draw(scene, grasps, refused).axes[-1].texts[0].get_text()
+    priced = replace(scene.objects[0], id="5$ or $x^{")  # no formula
+    ft.draw(priced, ft.plan(priced)).canvas.draw()
+    ft.draw(priced, ft.plan(priced), path=tmp_path / "b.svg")
     with pytest.raises(ConfigError, match="number: 7 is not one of the 2 grasps"):
         ft.draw(scene, grasps, number=7)
     with pytest.raises(ConfigError, match="grasps: are on object 1, not on 2"):

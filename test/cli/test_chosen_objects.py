@@ -78,6 +78,8 @@ def test_bad_masks_and_clicks_are_refused_in_one_line(call, scene, tmp_path):
         (("--point", "0,0,0.5"), "point: no object within 0.03 m of (0, 0, 0.5)"),
         (("--point", "nan,0,0.5"), "is not three finite numbers"),
         (("--pixel", "5,5", "--point", "0,0,1"), "--pixel, --point: select an object twice"),
+        (("--pixel", "5,5", "--plane", "0,0,1,-1"), "--plane, --pixel: with --plane the cloud is the points of one"),
+        (("--scene", "--plane", "0,0,1,-1"), "--plane, --scene: with --plane"),
         (("--picture", tmp_path / "a.xyz"), ".png"),
     ]
 

@@ -150,7 +150,7 @@ def test_a_file_of_the_other_kind_names_the_command_that_reads_it(tmp_path, caps
     write_cloud(tmp_path / "scene.npy", Cloud(table))
     assert main(["predict", str(tmp_path / "scene.npy")]) == 1
     assert (
-        "more than max_extent_m 0.6; a list of the points of a whole scene is segmented with --scene"
+        "more than max_extent_m 0.6; a list of the points of a whole scene is segmented with --scene, an image without --plane"
         in capsys.readouterr().err
     )
     angle = rng.uniform(0.0, np.pi, 800)

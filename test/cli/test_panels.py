@@ -87,6 +87,9 @@ def test_reasons_are_counted_by_kind_and_the_last_of_each_is_shown() -> None:
     for reason in ("12 mm wide, less than 20", "16.1 mm wide, less than 20"):
         view.count_reason(reason)
     view.count_reason("no point #")
+    for reason in ("encoding: 'rgb8' is not 16UC1 (grasp 17/1/0, -1.2e+03 m, 60%)", "two g1: 848x480"):
+        view.count_reason(reason)
+    assert list(view.reasons)[2:] == ["encoding: 'rgb8' is not 16UC1 (grasp #/#/#, # m, #%)", "two g1: 848x480"]
     text = printed(live_panel(view, "title"))
     assert "2 x last: 16.1 mm wide, less than 20" in text
     assert "1 x no point #" in text

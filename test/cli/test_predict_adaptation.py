@@ -174,6 +174,8 @@ def test_what_cannot_be_adapted_to_is_refused_in_one_line(call, model, session, 
         ((cloud, *sample, "--tare", "x.json"), "cannot be combined with files"),
         ((scene, "--touched", session, "--target", "all"), "the cloud holds 2 objects"),
         ((session, "--prequential", *sample), "--tare: cannot be combined with --prequential"),
+        ((session, "--prequential", "--hand", "two_tips"), "--hand: cannot be combined with --prequential"),
+        ((session, "--grasp", "0,0,1,0.05,0,1", "--hand", "two_tips"), "--grasp, --hand: a hand is for planned grasps"),
     ]
     every_case(cases, check)
     (result,) = call("predict", scene, "--model", model, "--touched", session, "--target", "nearest", "--json").records

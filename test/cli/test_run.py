@@ -95,7 +95,8 @@ def test_a_topic_of_depth_images_is_answered_until_the_count(environment) -> Non
 def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text("camera: {width: 424, hight: 320}\n", encoding="utf-8")
-    none, waits = tmp_path / "none", "a camera does not wait; --wait-for needs a recording or files"
+    none, played = tmp_path / "none", "is for recordings and files, and --source"
+    image = Path(__file__).parents[2] / "examples" / "data" / "table.npz"
 
     def check(words: tuple[object, ...], line: str) -> None:
         call(*words).check_refused(f"foretouch: {line}")
@@ -106,8 +107,13 @@ def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
     cases = [
         (("run", "--source", none), f"{none}: does not exist\n"),
         (("replay", none), f"{none}: does not exist\n"),
-        (("run", "--source", "camera", "--wait-for", "touch"), f"--source camera: {waits}\n"),
-        (("run", "--source", "s.yaml", "--wait-for", "touch"), f"--source s.yaml: {waits}\n"),
+        (("run", "--source", "camera", "--wait-for", "touch"), f"--wait-for: {played} camera is another source\n"),
+        (("run", "--source", "s.yaml", "--wait-limit", "1"), f"--wait-limit: {played} s.yaml is another source\n"),
+        (("run", "--source", "s.yaml", "--depth-scale", "1"), f"--depth-scale: {played} s.yaml is"),
+        (("run", "--source", "/a/b", "--plane", "0,0,1,-1"), f"--plane: {played} /a/b is"),
+        (("run", "--source", "/a/b", "--rate", "1"), "--rate: is for recordings and files, and scenes (.yaml), and"),
+        (("run", "--source", image, "--dwell", "1"), "--dwell: is for scenes (.yaml), and --source"),
+        (("run", "--source", image, "--plane", "0,0,1,-1"), "--plane: is for the points of one object; the table is"),
         (("run", "--source", none, "--model", "nope"), "nope: is not a model folder, no card"),
         (("run", "--source", none, "--model", tmp_path / "a.json"), f"{tmp_path / 'a.json'}: no such"),
         (("run", "--source", scene), f"{scene}: camera.hight: unknown setting"),

@@ -130,6 +130,13 @@ def test_every_option_of_a_number_refuses_what_no_command_can_use(call, files) -
         call("grasp", files / "object.pcd", name.split()[1], text).check_refused(CHECKED_LATER[name])
 
 
+def test_what_may_be_left_out_is_not_called_required(capsys: pytest.CaptureFixture[str]) -> None:
+    for command, missing in (("train", "CONFIG"), ("experiment", "NAME"), ("tradeoff", "AREA")):
+        with pytest.raises(SystemExit):
+            command_parser(command).parse_args([command])
+        assert capsys.readouterr().err.endswith(f"the following arguments are required: {missing}\n")
+
+
 SCENE = "objects:\n  - {name: can, shape: can, size_m: [0.07, 0.07, 0.1]}\n"
 FIELDS = (  # of a scene, of the pipeline, of a training
     ("simulate", SCENE + "camera: {noize: {}}", "camera.noize", "noise"),
@@ -173,6 +180,7 @@ REFUSED = (  # nodes and parameters of a file
     ("/left/perceptoin", "autostart: true", "did you mean /foretouch/perception?"),
     ("/foretouch/touch_predictor", "use_tarre: false", ": use_tarre: unknown parameter; did you mean use_tare?"),
     ("/foretouch/grasp", "use_tare: false", ": use_tare: unknown parameter"),  # a parameter of another node
+    ("/foretouch/grasp", "off: 2", ": False: unknown parameter"),  # which YAML reads so
     ("/foretouch/perception", "latency_budget_ms: 5.0", "latency_budget_ms: was removed in 0.4"),
     ("/**", "late_after: 5.0", "did you mean late_after_s?"),
     ("/foretouch/*", "silense_s: 3.0", "did you mean silence_s?"),

@@ -257,5 +257,8 @@ def test_descriptions_that_break_a_rule_are_refused(tmp_path: Path) -> None:
         "unknown key": ({"openning_m": 0.1}, "openning_m"),
     }
     every_case(cases, check)
+    (tmp_path / "text.yaml").write_text("{", encoding="utf-8")
+    with pytest.raises(ConfigError, match=rf"^{tmp_path / 'text.yaml'}: not YAML"):
+        load_hand(tmp_path / "text.yaml")
     with pytest.raises(ConfigError, match="name: frank_hand: is neither a file nor one of"):
         HandConfig(name="frank_hand")

@@ -222,7 +222,7 @@ def depth_camera(arguments: argparse.Namespace) -> DepthCamera:
 
 
 def check_single(arguments: argparse.Namespace) -> None:
-    """Refuse options for a single input, `--mask` and `--picture`, with several, and a picture that cannot be written.
+    """Refuse options for a single input with several, options that exclude each other, and a picture that cannot be written.
 
     Raises:
         ConfigError: Names the option.
@@ -232,6 +232,9 @@ def check_single(arguments: argparse.Namespace) -> None:
             raise ConfigError(f"--{name}: requires one input, not {len(arguments.inputs)}")
     if getattr(arguments, "pixel", None) and getattr(arguments, "point", None):
         raise ConfigError("--pixel, --point: select an object twice; give one of them")
+    for name in ("scene", "mask", "pixel", "point"):
+        if getattr(arguments, "plane", None) is not None and getattr(arguments, name):
+            raise ConfigError(f"--plane, --{name}: with --plane the cloud is the points of one object; leave one out")
     if arguments.picture:
         require_writable(arguments.picture, *PICTURE_SUFFIXES)
 

@@ -55,6 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
     inputs.check_single(arguments)
     if arguments.prequential:
         return _run_prequential(arguments)
+    if arguments.grasp and arguments.hand:
+        raise ConfigError("--grasp, --hand: a hand is for planned grasps; leave one out")
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
     pipeline = Pipeline(inputs.pipeline_config(arguments, defaults=defaults))
     adaptation = read_adaptation(arguments, pipeline.model)
@@ -104,7 +106,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
     with needs_laboratory("--prequential"):
         from foretouch_lab.learning.prequential import replay_model
-    for name in ("tare", "touched", "grasp", "mask", "picture", "pixel", "point"):
+    for name in ("tare", "touched", "grasp", "mask", "picture", "plane", "scene", "target", "hand", "pixel", "point"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
 

@@ -146,7 +146,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Return parameters of each node by name, from the options; the source comes last, after its subscribers."""
-    from foretouch.cloud.io.depth_files import DepthCamera
     from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
     from foretouch.models.card import read_card
@@ -167,20 +166,17 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
     scene = Path(arguments.source).suffix in {".yaml", ".yml"}
     live = scene or arguments.source == "camera" or _is_topic(arguments.source)
+    _require_used(arguments, scene=scene, files=not live)
     if not live:
         source = open_source(arguments.source, arguments.topic, camera=depth_camera(arguments))
         if not any("late_after_s" in parameters for parameters in given):
             perception["late_after_s"] = 0.0  # the recording's stamps are old
         perception["input"] = "objects" if cloud_is_object(source) else "depth" if source.info_topic else "points"
+        if arguments.plane is not None and perception["input"] != "objects":
+            raise ConfigError(f"--plane: is for the points of one object; the table is found in {arguments.source}")
         if source.info_topic:
             arguments.remapped = ["-r", f"perception:depth/image:={source.topic}"]
         return nodes | {"replay": _replay_parameters(arguments, source)}
-    if depth_camera(arguments) != DepthCamera():
-        raise ConfigError(
-            f"--intrinsics, --camera-info, --depth-scale: {arguments.source} is no file with depth images"
-        )
-    if arguments.wait_for or arguments.wait_limit is not None:
-        raise ConfigError(f"--source {arguments.source}: a camera does not wait; --wait-for needs a recording or files")
     if _is_topic(arguments.source):
         perception["input"] = input_of(arguments.source, _TOPIC_S)
         own = "points" if perception["input"] == "points" else "depth/image"
@@ -195,6 +191,26 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if any("hand.name" in parameters for parameters in given):
         perception.pop("hand.name", None)
     return nodes
+
+
+def _require_used(arguments: argparse.Namespace, *, scene: bool, files: bool) -> None:
+    """Refuse options that the source does not use.
+
+    Args:
+        arguments: The options.
+        scene: Whether the source is a scene.
+        files: Whether it is a recording or files.
+    """
+    played, shown = (files, "recordings and files"), (scene, "scenes (.yaml)")
+    of_options = {
+        "--dwell": shown,
+        "--rate": (scene or files, f"{played[1]}, and {shown[1]}"),
+        **dict.fromkeys(("--topic", "--plane", *CAMERA, "--wait-for", "--wait-limit"), played),
+    }
+    for option, (used, users) in of_options.items():
+        given = getattr(arguments, option.removeprefix("--").replace("-", "_"))
+        if given not in (None, "", []) and not used:
+            raise ConfigError(f"{option}: is for {users}, and --source {arguments.source} is another source")
 
 
 def _is_topic(source: str) -> bool:

@@ -391,8 +391,9 @@ def load_hand(hand: str | Path) -> Hand:
 @lru_cache(maxsize=16)
 def _read_hand(path: Path, _changed_ns: int) -> Hand:
     """Read the file of a description."""
+    stated = load_yaml(path)
     try:
-        return Hand(HandDescription.from_mapping(load_yaml(path)))
+        return Hand(HandDescription.from_mapping(stated))
     except ConfigError as err:
         raise ConfigError(f"{shown(path)}: {err}") from err
 

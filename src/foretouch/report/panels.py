@@ -41,6 +41,16 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
+def without_formulas(figure: Figure) -> Figure:
+    """Show `$` in texts of a figure, such as the name of an object, as it is: Matplotlib takes two for a formula."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and "$" in text.get_text() and "mathdefault" not in text.get_text():
+            text.set_parse_math(False)
+    return figure
+
+
 def save(figure: Figure, path: Path, dpi: int = 120) -> Path:
     """Write a figure in the format of its suffix, usually PNG, and give its path; its folder is created.
 
@@ -48,7 +58,7 @@ def save(figure: Figure, path: Path, dpi: int = 120) -> Path:
     """
     content = io.BytesIO()
     try:
-        figure.savefig(content, dpi=dpi, format=path.suffix[1:])
+        without_formulas(figure).savefig(content, dpi=dpi, format=path.suffix[1:])
     except ValueError as err:
         raise FileError(path, f"cannot be written: {err}") from err
     replace_files({path: content.getvalue()})

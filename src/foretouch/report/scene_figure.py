@@ -11,7 +11,7 @@ import numpy as np
 
 from foretouch.errors import ConfigError
 from foretouch.report.hand_figure import COLOURS, hand_lines
-from foretouch.report.panels import FINGER_COLOURS, Axes, new_figure, save, some_points
+from foretouch.report.panels import FINGER_COLOURS, Axes, new_figure, save, some_points, without_formulas
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.taxel_view import scalars_text
 from foretouch.types import Bool, Cloud, Float64, Grasp, Grasps, Prediction, Predictions
@@ -88,7 +88,7 @@ def draw_scene(
         _draw_touch(next(panels), prediction)
     if path is not None:
         save(figure, Path(path))
-    return figure
+    return without_formulas(figure)
 
 
 def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:

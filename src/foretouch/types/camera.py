@@ -264,8 +264,14 @@ def check_image(depth: npt.NDArray[Any]) -> tuple[int, int]:
         colour = " of a colour image" if depth.ndim == 3 and depth.shape[2] in (3, 4) else ""
         raise CloudError(f"depth: shape {depth.shape}{colour} is not (H, W)")
     if depth.dtype.newbyteorder("=") not in (np.uint16, np.float32, np.float64):
-        bits = ": 8 bits hold no depth" if depth.dtype.itemsize == 1 else ""
-        raise CloudError(f"depth: dtype {depth.dtype} is not uint16 (millimetres), float32 or float64 (metres){bits}")
+        cure = ""
+        if depth.dtype.itemsize == 1:
+            cure = ": 8 bits hold no depth"
+        elif depth.dtype.kind in "iu":
+            low, high = (int(end(initial=0)) for end in (depth.min, depth.max))
+            fits = 0 <= low <= high < 2**16
+            cure = "; pass depth.astype(np.uint16)" if fits else f": its numbers are {low} to {high}, not 0 to 65535"
+        raise CloudError(f"depth: dtype {depth.dtype} is not uint16 (millimetres), float32 or float64 (metres){cure}")
     return depth.shape[0], depth.shape[1]
 
 

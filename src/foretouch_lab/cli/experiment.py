@@ -32,7 +32,9 @@ def add_arguments(parser: CommandParser) -> None:
 
 def add_sweep_arguments(parser: CommandParser, preset: str, presets: str) -> None:
     """Declare the arguments on settings, data and output of a sweep, with the default preset and the help on presets."""
-    parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset")
+    parser.add_argument(
+        "overrides", metavar="key=value", nargs="*", default=[], help="settings that differ from the preset"
+    )
     parser.add_argument(
         "-o",
         "--out",

@@ -32,6 +32,7 @@ def add_arguments(parser: CommandParser) -> None:
         "overrides",
         metavar="key=value",
         nargs="*",
+        default=[],
         help="settings that differ from CONFIG: data=DATASET, train.epochs=5, calibrate=true (intervals for a network), "
         "release=true (scores on three splits in the card)",
     )

@@ -208,3 +208,55 @@ def test_why_there_is_no_object_names_the_background() -> None:
     assert found.status == "no_object"
     assert "background" in found.reason
     assert reasons(found, labels) == {3: "enters_view"}
+
+
+# The sides of a bin, one rule after the other: two upright boards that face the camera, without sides between them.
+BOARD_M, BEHIND_M = 0.3, 0.24
+
+
+def boards(tops: tuple[float, float], *, length_m: float = BOARD_M) -> dict[int, str]:
+    """Why boards with these tops are background."""
+    sides = [
+        ((-length_m / 2, y, 0.0), (length_m / 2, y + 0.006, top))
+        for y, top in zip((-BEHIND_M / 2, BEHIND_M / 2), tops, strict=True)
+    ]
+    cloud, labels = room(*sides, tilt_deg=30.0)
+    found = segment(cloud)
+    assert len(found.objects) + len(found.background) == 2
+    return reasons(found, labels)
+
+
+def leaning_boards(angle_deg: float) -> dict[int, str]:
+    """Why boards without thickness that lean back are background."""
+    cloud, labels = room(tilt_deg=30.0)
+    tilt, right = np.radians(30.0), np.array([1.0, 0.0, 0.0])
+    forward = np.array([0.0, np.sin(tilt), -np.cos(tilt)])
+    xyz = cloud.xyz.astype(np.float64)
+    rays = xyz / xyz[..., 2:] @ np.stack([right, np.cross(forward, right), forward])
+    up = 0.1 * np.array([0.0, np.tan(np.radians(angle_deg)), 1.0])
+    for label, y in enumerate((-BEHIND_M / 2, BEHIND_M / 2), 3):
+        from_eye = np.array([-BOARD_M / 2, y, 0.0]) + 0.8 * forward  # to the lower left corner
+        edges = np.broadcast_to(np.stack([-BOARD_M * right, -up], axis=1), (*rays.shape, 2))
+        steps = np.linalg.inv(np.concatenate([rays[..., None], edges], axis=-1)) @ from_eye
+        depth, *along = np.moveaxis(steps, -1, 0)  # along the ray, and along both edges
+        hit = np.all([(share > 0) & (share < 1) for share in along], axis=0) & (depth < xyz[..., 2])
+        xyz[hit] *= (depth[hit] / xyz[hit][:, 2])[:, None]
+        labels[hit] = label
+    found = segment(Cloud(xyz.astype(np.float32)))
+    assert len(found.objects) + len(found.background) == 2
+    return reasons(found, labels)
+
+
+WALLS = {3: "wall", 4: "wall"}
+
+
+def test_long_upright_boards_of_one_height_are_the_sides_of_a_bin_and_others_are_objects() -> None:
+    cases = {
+        "one height": (boards, (0.10, 0.10), WALLS),
+        "two heights": (boards, (0.10, 0.115), {}),
+        "low": (boards, (0.04, 0.04), {}),
+        "leaning by 16 degrees": (leaning_boards, 16.0, WALLS),
+        "leaning by 26 degrees": (leaning_boards, 26.0, {}),
+    }
+    every_case(cases, lambda why, given, expected: np.testing.assert_equal(why(given), expected))
+    assert boards((0.10, 0.10), length_m=0.16) == {}

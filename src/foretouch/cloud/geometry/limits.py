@@ -52,7 +52,7 @@ def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
         return
     distance = math.hypot(*((low + high) / 2.0).tolist())
     away, long = f"xyz: the object is {distance:.4g} m away", f"xyz: the object extends {extent:.4g} m"
-    scene = "; a list of the points of a whole scene is segmented with --scene"
+    scene = "; a list of the points of a whole scene is segmented with --scene, an image without --plane"
     frame = "for a cloud in the object's own frame set limits.min_range_m=0"
     for broken, reason in (
         (distance > limits.max_range_m, f"{away}, more than max_range_m {limits.max_range_m:g}{_unit(distance)}"),

@@ -35,7 +35,7 @@ from foretouch.types import ASSUMED_TABLE, Cloud, Sample, stamp_ns
 from foretouch.types.scene import Object
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
-_NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_NUMBER: Final = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?!\w)")  # not a part of a name, such as 16UC1
 _KINDS: Final = 100  # of reasons that are counted
 
 

@@ -65,7 +65,7 @@ def nodes_of_file(path: str) -> Iterator[tuple[str, dict[str, Any]]]:
             rule = "holds no ros__parameters; a parameter file is NODE: {ros__parameters: {NAME: VALUE}}"
             raise ConfigError(f"{path}: {name.lstrip('/')}: {rule}")
         if given is not None:
-            yield name, flattened(given)
+            yield name, {str(key): entry for key, entry in flattened(given).items()}
         for key, entry in inner:
             yield from walk(key, entry)
 
