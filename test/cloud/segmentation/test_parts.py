@@ -125,7 +125,7 @@ def test_a_neck_belongs_to_its_bottle_and_a_can_beside_the_axis_or_on_a_box_does
         "beside": _scene(cans=[_BODY, ((0.015, 0.0, 0.1), 0.022, 0.16)]),
         "on a box": _scene([((-0.05, -0.05, 0.0), (0.05, 0.05, 0.1))], cans=[neck]),
         "on a narrower one": _scene(cans=[((0.0, 0.0, 0.0), 0.04, 0.12), ((0.01, 0.0, 0.12), 0.055, 0.18)]),
-        "a box on it": _scene([((-0.03, -0.03, 0.1), (0.03, 0.03, 0.16))], cans=[_BODY]),
+        "a box on it": _scene([((-0.01, -0.03, 0.1), (0.05, 0.03, 0.16))], cans=[_BODY]),
     }.items():
         found = segment(Cloud(scene[0]))
         assert len(found.objects) == 2, name
