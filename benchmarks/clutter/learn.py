@@ -187,7 +187,9 @@ def in_a_bin(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
     half = np.max(reach, axis=0)[:2] + rng.uniform(0.002, 0.06, 2)
     sides = replace(shapes.bin_sides(*half, rng.uniform(0.05, 0.2)), name="bin")
     placed = Placed(sides, np.array([0.0, 0.0, sides.size[2] / 2.0]), np.eye(3))
-    yield from _views(replace(pile, objects=(*pile.objects, placed)), "bin", number, SampleKey(19, number, 0), folder, 2)
+    yield from _views(
+        replace(pile, objects=(*pile.objects, placed)), "bin", number, SampleKey(19, number, 0), folder, 2
+    )
 
 
 def _filled(rng: Rng) -> list[Placed]:
@@ -333,7 +335,7 @@ def _mesh(model: Model, prefix: str, folder: Path) -> str:
     return write_mesh(replace(model, name=f"{prefix}_{model.name}"), folder / "meshes")
 
 
-SETS: Final[dict[str, tuple[Callable[[int, Path], Iterator[tuple[str, Scene]]], int]]] = {"arr": (arranged, 500), "sing": (on_its_own, 300), "touch": (touching, 308), "behind": (behind, 96), "train": (in_piles, 139), "above": (from_above, 171), "heap": (heaped, 458), "in": (contained, 458), "bin": (in_a_bin, 240)}  # fmt: skip
+SETS: Final[dict[str, tuple[Callable[[int, Path], Iterator[tuple[str, Scene]]], int]]] = {"arr": (arranged, 500), "sing": (on_its_own, 300), "touch": (touching, 308), "behind": (behind, 96), "train": (in_piles, 139), "above": (from_above, 171), "heap": (heaped, 458), "in": (contained, 458), "bin": (in_a_bin, 416)}  # fmt: skip
 
 
 def write_scenes(folder: Path, jobs: int) -> None:
