@@ -64,7 +64,7 @@ typedef struct {
     int64_t k, h, w, n, n_fragments, n_borders; /* cells; fragments count from 1 */
     cell *cells;
     float *bends; /* of the edges to the right and down (n, 2); NAN where there is none */
-    int32_t *root;
+    int32_t *root, *first_of; /* first_of: first cell of each distance from an edge; `part` of a cell is the next one */
     fragment *fragments;
     border *borders;
     double origin[3]; /* of the sums */
@@ -247,12 +247,16 @@ static int32_t find_depths(graph *g) {
 /* Fragments: watersheds of that distance, as a neck between concave edges separates two fragments as well as an edge all
  * along. Cells are added from the innermost on; two fragments that meet are one unless the neck is narrower than both. */
 static void make_fragments(graph *g) {
+    const int32_t innermost = find_depths(g);
     memset(g->root, -1, (size_t)g->n * sizeof(int32_t));
-    for (int32_t level = find_depths(g); level >= 0; level--) {
-        for (int64_t i = 0; i < g->n; i++) {
-            if (!g->cells[i].label || g->cells[i].inside != level) {
-                continue;
-            }
+    memset(g->first_of, -1, ((size_t)innermost + 1) * sizeof(int32_t));
+    for (int64_t i = g->n - 1; i >= 0; i--) {
+        if (g->cells[i].label) {
+            g->cells[i].part = g->first_of[g->cells[i].inside], g->first_of[g->cells[i].inside] = (int32_t)i;
+        }
+    }
+    for (int32_t level = innermost; level >= 0; level--) {
+        for (int64_t i = g->first_of[level]; i >= 0; i = g->cells[i].part) {
             const int64_t edges[4] = {2 * (i - 1), 2 * i, 2 * (i - g->w) + 1, 2 * i + 1}, others[4] = {i - 1, i + 1, i - g->w, i + g->w};
             int32_t own = g->root[i] = (int32_t)i;
             for (int side = 0; side < 4; side++) {
@@ -689,8 +693,8 @@ VECTORISED void split_clusters(const Labelled *of, int64_t k, const double *sett
     graph g = {.of = of, .first = of->xyz + 3 * (of->row * of->across + of->column), .k = k, .h = (of->h + k - 1) / k, .w = (of->w + k - 1) / k, .s = settings, .trees = trees, .counts = counts};
     const size_t n = (size_t)(g.n = g.h * g.w);
     memset(counts, 0, COUNTS * sizeof(int64_t));
-    g.cells = calloc(1, (n + 1) * (sizeof(cell) + sizeof(int32_t)) + 2 * n * sizeof(float));
-    g.root = (int32_t *)(g.cells + n + 1), g.bends = (float *)(g.root + n + 1);
+    g.cells = calloc(1, (n + 1) * (sizeof(cell) + 2 * sizeof(int32_t)) + 2 * n * sizeof(float));
+    g.root = (int32_t *)(g.cells + n + 1), g.first_of = g.root + n + 1, g.bends = (float *)(g.first_of + n + 1);
     if (g.cells) {
         make_cells(&g);
         find_steps(&g);
