@@ -400,7 +400,7 @@ static void find_bin(const board *g, part *parts, const int32_t *near) {
     }
 }
 
-/* A part that lies in the plane of one beyond the table beside it is a piece of the same wall. */
+/* A part that lies in the plane of a larger one beyond the table beside it is a piece of the same wall. */
 static void continue_walls(const board *g, part *parts, const int32_t *near) {
     const int64_t n = g->of->n;
     const double flat = g->of->flat;
@@ -408,7 +408,7 @@ static void continue_walls(const board *g, part *parts, const int32_t *near) {
         const sheet fit = parts[j].reason == BEYOND ? fit_sheet(parts + j) : (sheet){.variance = INFINITY};
         for (int64_t i = 1; i < n && fit.variance < flat * flat; i++) {
             int32_t within = 0;
-            if (parts[i].reason != STANDS || !near[2 * (i * n + j)]) {
+            if (parts[i].reason != STANDS || !near[2 * (i * n + j)] || parts[j].cells < parts[i].cells) {
                 continue;
             }
             for (int64_t c = parts[i].first; c <= parts[i].last; c++) {

@@ -7,7 +7,7 @@ image, with its holes and the dents that things leave which hide it. Other parts
 - `enters_view`: it comes from the image's border over the table, or is joined to what does. Fingers have to avoid it.
 - `beyond_table`: it stands outside of the outline.
 - `floating`: it touches neither the table nor an object in the image, and its points are all high.
-- `wall`: it lies in the plane of a part beyond the table that it is joined to, or it is a side of a bin: a long upright sheet
+- `wall`: it lies in the plane of a larger part beyond the table that it is joined to, or it is a side of a bin: a long upright sheet
   that meets another one, or has its height; all sides in one, with the table between them; or a piece of their rim.
 """
 
