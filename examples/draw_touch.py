@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw docs/touch.png: a simulated object as the model knows some, and one as it does not, predicted beside read.
+"""Draw the first two grasps of the demo: an object as the model knows some, and one as it does not, predicted beside read.
 
 Usage: python examples/draw_touch.py [SCENE.yaml [PICTURE.png]]
 """
