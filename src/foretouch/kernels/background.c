@@ -24,7 +24,7 @@ enum { HOLE, TABLE, UNDER, OVER };             /* kinds of cells */
 #define LONG 0.2     /* and their length, which few objects have [m], */
 #define THIN 0.006   /* standard deviation of their depth [m], */
 #define STEEP 0.35   /* largest cosine between their normal and that of the table, */
-#define OPEN 4       /* all of them together have the table between them in one of as many rows, */
+#define OPEN 4       /* all of them together have the table between them in a quarter as many cells as they have, */
 #define RIM 0.005f   /* difference of their heights [m], */
 #define NARROW 4     /* of a piece of a rim, fewer than one of as many cells are within it, */
 #define CORNER 2     /* and cells with which they meet */
@@ -349,11 +349,11 @@ static int is_upright(const board *g, const part *own, int64_t label) {
     return fit.variance < THIN * THIN && sine * sine > 1.0 - STEEP * STEEP && extent(g, own, label, along) > LONG * sine;
 }
 
-/* Whether a part is all sides of a bin: as large as they are, and in many rows more cells of the table lie between its cells than it has. */
+/* Whether a part is all sides of a bin: as large as they are, with the table between its cells in many rows. */
 static int is_frame(const board *g, const part *own, int64_t label) {
     const double *t = g->of->plane, across[3] = {0.0, t[2], -t[1]}, size = sqrt(t[1] * t[1] + t[2] * t[2]);
     const double along[3] = {-t[1] * t[1] - t[2] * t[2], t[0] * t[1], t[0] * t[2]};
-    int64_t rows = 0, open = 0;
+    int64_t open = 0;
     if (own->reason != STANDS || own->top < TALL) {
         return 0;
     }
@@ -364,9 +364,9 @@ static int is_frame(const board *g, const part *own, int64_t label) {
             cells += is_own, table += cells && g->kind[y * g->w + x] == TABLE;
             between = is_own ? table : between;
         }
-        rows += cells > 0, open += between > cells;
+        open += between;
     }
-    return OPEN * open > rows && extent(g, own, label, across) > LONG * size && extent(g, own, label, along) > LONG * size;
+    return OPEN * open > own->cells && extent(g, own, label, across) > LONG * size && extent(g, own, label, along) > LONG * size;
 }
 
 /* The sides of a bin: upright sheets of one height, or that meet, also what is beyond the table; and what meets one and has its height. */
