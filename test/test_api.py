@@ -130,6 +130,7 @@ def test_lists_become_arrays_and_what_is_no_grasp_reading_model_or_setting_is_re
         (TactileError, ft.Touch, ([[1.0], [1.0, 2.0]], model.sensor.channels), "touch: .* is not of numbers"),
         (GraspError, model.predict, (target, listed), r"grasps: Grasp is not a sequence; of one grasp pass \[grasp\]"),
         (GraspError, Pipeline().predict, (target, None), "grasps: NoneType is not a sequence"),
+        (GraspError, model.predict, (target, iter([listed])), "grasps: list_iterator is not a sequence"),
         (GraspError, model.predict, (target, [(listed.g1, listed.g2)]), r"grasps: holds tuple, not Grasp\(g1, g2"),
         (GraspError, ft.draw, (scene, listed), "grasps: Grasp is not a sequence"),
         (ConfigError, ft.draw, (scene.cloud,), "scene: Cloud is neither a Scene"),

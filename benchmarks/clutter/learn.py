@@ -153,12 +153,7 @@ def from_above(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
 
 def heaped(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
     """A pile at rest, of concave objects too, from four sides, near and far."""
-    rng = np.random.default_rng([17, number])
-    makers = (*shapes.CONCAVE, *shapes.DRAWN, *shapes.FIXED.values(), *shapes.FIXED.values())
-    models = {name: replace(maker(rng), name=name) for name, maker in shapes.FIXED.items()}
-    models |= {f"o{k}": _one(rng, makers, f"o{k}").scaled(rng.uniform(0.75, 1.0)) for k in range(10)}
-    kind = ("touching", "leaning", "cluttered", "stacked", "cluttered")[number % 5]
-    pile, *_ = next(resting(models, 17, len(KINDS) * number + list(KINDS).index(kind)))
+    kind, pile = _heap(np.random.default_rng([17, number]), shapes.CONCAVE, 17, number)
     yield from _views(pile, kind, number, SampleKey(17, number, 0), folder, 4)
 
 
@@ -178,11 +173,7 @@ def contained(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
 def in_a_bin(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
     """A pile at rest in a bin without a floor, some objects against its sides, obliquely and from above; the bin is one object."""
     rng = np.random.default_rng([19, number])
-    makers = (*shapes.DRAWN, *shapes.FIXED.values(), *shapes.FIXED.values())
-    models = {name: replace(maker(rng), name=name) for name, maker in shapes.FIXED.items()}
-    models |= {f"o{k}": _one(rng, makers, f"o{k}").scaled(rng.uniform(0.75, 1.0)) for k in range(10)}
-    kind = ("touching", "leaning", "cluttered", "stacked", "cluttered")[number % 5]
-    pile, *_ = next(resting(models, 19, len(KINDS) * number + list(KINDS).index(kind)))
+    _, pile = _heap(rng, (), 19, number)
     reach = [np.abs(one.position) + np.abs(one.rotation) @ one.model.size / 2.0 for one in pile.objects]
     half = np.max(reach, axis=0)[:2] + rng.uniform(0.002, 0.06, 2)
     sides = replace(shapes.bin_sides(*half, rng.uniform(0.05, 0.2)), name="bin")
@@ -190,6 +181,16 @@ def in_a_bin(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
     yield from _views(
         replace(pile, objects=(*pile.objects, placed)), "bin", number, SampleKey(19, number, 0), folder, 2
     )
+
+
+def _heap(rng: Rng, also: Sequence[Callable[[Rng], Model]], seed: int, number: int) -> tuple[str, Pile]:
+    """A pile at rest of objects of all kinds and of `also`, and what kind of pile it is, by its number."""
+    makers = (*also, *shapes.DRAWN, *shapes.FIXED.values(), *shapes.FIXED.values())
+    models = {name: replace(maker(rng), name=name) for name, maker in shapes.FIXED.items()}
+    models |= {f"o{k}": _one(rng, makers, f"o{k}").scaled(rng.uniform(0.75, 1.0)) for k in range(10)}
+    kind = ("touching", "leaning", "cluttered", "stacked", "cluttered")[number % 5]
+    pile, *_ = next(resting(models, seed, len(KINDS) * number + list(KINDS).index(kind)))
+    return kind, pile
 
 
 def _filled(rng: Rng) -> list[Placed]:

@@ -92,7 +92,8 @@ void concave_nodes(const Labelled *v, int64_t stride, int64_t arm, double sag, d
     }
 }
 
-/* CELLS. The mean point of each, by its cluster: of those pixels whose depth is near that of one in the middle. */
+/* CELLS. The mean point of each, by its cluster: of those pixels whose depth is near that of one in the middle. A cell of no cluster
+ * has the point in its middle. */
 static void make_cells(graph *g) {
     const Labelled *v = g->of;
     const int64_t k = g->k, h = v->h, w = v->w;
@@ -107,7 +108,7 @@ static void make_cells(graph *g) {
                     at = v->solid[y * w + x] ? y * w + x : at;
                 }
             }
-            const float z = g->first[3 * (at / w * v->across + at % w) + 2], gap = (float)g->s[STEP_M];
+            const float *middle = g->first + 3 * (at / w * v->across + at % w), z = middle[2], gap = (float)g->s[STEP_M];
             float sum[4] = {0.0f};
             c->label = v->solid[at] ? v->labels[at] : 0;
             for (int64_t y = i * k; y < bottom && c->label; y++) {
@@ -119,10 +120,15 @@ static void make_cells(graph *g) {
                     }
                 }
             }
-            const float *middle = g->first + 3 * (at / w * v->across + at % w);
             c->part = 0;
-            c->d = c->label ? sum[2] / sum[3] : 1.0f / z;
-            c->p[0] = c->label ? sum[0] / sum[3] / c->d : middle[0], c->p[1] = c->label ? sum[1] / sum[3] / c->d : middle[1], c->p[2] = 1.0f / c->d;
+            if (c->label) {
+                c->d = sum[2] / sum[3];
+                c->p[0] = sum[0] / sum[3] / c->d, c->p[1] = sum[1] / sum[3] / c->d;
+            } else {
+                c->d = 1.0f / z;
+                c->p[0] = middle[0], c->p[1] = middle[1];
+            }
+            c->p[2] = 1.0f / c->d;
         }
     }
 }
@@ -493,7 +499,8 @@ static void describe(const graph *g, const border *of, double *x) {
     const fragment *large = g->fragments + (swap ? of->b : of->a), *small = g->fragments + (swap ? of->a : of->b), *both[2] = {small, large};
     const double *b = of->sum, *t = g->s + PLANE, sign = swap ? 1.0 : -1.0, length = b[LENGTH] > 0.0 ? b[LENGTH] : 1.0;
     const double firm = b[LENGTH] > b[STEPS] ? b[LENGTH] - b[STEPS] : 1.0, side = sqrt(small->sum[AREA] / small->sum[CELLS]);
-    double sum[SUMS], apart[3], turn[3], away[3], beside[3], at[3]; /* from the middle of the larger one to that of the smaller one, and of the border */
+    double sum[SUMS], turn[3], away[3], beside[3];
+    double apart[3], at[3]; /* `apart` leads from the middle of the larger fragment to the middle of the smaller one, `at` to the middle of the border */
     shape all;
     for (int k = 0; k < SUMS; k++) {
         sum[k] = small->sum[k] + large->sum[k];

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasps: two contacts and the orientation of the hand, one or K of them as columns."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Self, overload
 
@@ -124,7 +124,7 @@ class Grasps(Columns, Sequence[Grasp]):
         """
         if isinstance(grasps, Grasps):
             return grasps
-        if isinstance(grasps, Grasp) or not isinstance(grasps, Iterable):
+        if not isinstance(grasps, Sequence):
             raise GraspError(f"grasps: {type(grasps).__name__} is not a sequence; of one grasp pass [grasp]")
         if wrong := {type(grasp).__name__ for grasp in grasps if not isinstance(grasp, Grasp)}:
             raise GraspError(f"grasps: holds {', '.join(sorted(wrong))}, not Grasp(g1, g2, rotation)")
