@@ -38,17 +38,18 @@ from foretouch.cloud.segmentation.clusters import Clusters
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import ForetouchError
 from foretouch.types import Cloud, Float32, Float64, Int32
-from foretouch_lab.simulation.solids import about_z
+from foretouch_lab.simulation.solids import Body, about_z
 from foretouch_lab.simulation.world import SampleKey
 
 # Of a number that is drawn for each scene from 0 to 1: up to the first it gets white noise, then up to the second a Kinect's
 # faults, then up to the third those of cameras that match windows; from there on, an object alone is cut out.
 WHITE, FAULTY, BLURRED = 0.1, 0.4, 0.7
+NEAR, CUT = 0.25, 0.15  # shares of the scenes that are several times smaller, and of which the image shows a part
 TWICE: Final = ("arr", "behind")  # sets whose pairs count twice: large objects beside and before each other are few
 HELD_OUT: Final = 10  # every so many piles, with all their views, are not learned from
 DEPTH, RATE = 5, 0.15
 ROUNDS: Final = (200, 300, 400)  # trees
-FEATURES: Final = 62  # of a pair of fragments, see `describe` of kernels/split.c
+FEATURES: Final = 64  # of a pair of fragments, see `describe` of kernels/split.c
 LESS, MORE = (0,), (2, 6, 7)  # concave borders tell against one object; convex ones, and surfaces that agree, for it
 # Of the first round: joined across borders that bend by less than 26 degrees.
 FIRST: Final = np.array([[0, np.radians(26.0), 1, -1]], np.float32)
@@ -181,6 +182,46 @@ def in_a_bin(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
     yield from _views(
         replace(pile, objects=(*pile.objects, placed)), "bin", number, SampleKey(19, number, 0), folder, 2
     )
+
+
+def small(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
+    """A pile at rest of parts of 8 to 40 mm, mostly in a bin that is one object, near the camera, obliquely and from above."""
+    rng = np.random.default_rng([20, number])
+    _, large = _heap(rng, (shapes.stepped, shapes.can, shapes.box, shapes.union), 20, number)
+    size = rng.uniform(0.3, 0.8)  # twice as large, and as far, as in the scene
+    parts_ = tuple(replace(one, model=one.model.scaled(size), position=size * one.position) for one in large.objects)
+    pile = replace(large, objects=parts_)
+    if rng.random() < 0.7:
+        reach = [np.abs(one.position) + np.abs(one.rotation) @ one.model.size / 2.0 for one in pile.objects]
+        sides = replace(shapes.bin_sides(*np.max(reach, axis=0)[:2] + rng.uniform(0.0, 0.06, 2), rng.uniform(0.04, 0.24)), name="bin")  # fmt: skip
+        pile = replace(pile, objects=(*pile.objects, Placed(sides, np.array([0.0, 0.0, sides.size[2] / 2.0]), np.eye(3))))
+    seen = {placed.model.name: _mesh(placed.model, f"20_{number}", folder) for placed in pile.objects}
+    for k in range(2):
+        view = float(rng.uniform(15.0, 55.0)) if k else _steep(rng), float(rng.uniform(0.64, 1.2))
+        turned = _turned(pile, rng.uniform(0.0, 2.0 * np.pi))
+        scene = look(turned, seen, "small", view, SampleKey(20, number, k))
+        yield f"small{number:04d}{k}", replace(scene, xyz=scene.xyz * np.float32(0.5))
+
+
+def raised(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
+    """A pile at rest on a board, with another board beside it or none, from two sides; boards are no objects."""
+    rng = np.random.default_rng([21, number])
+    kind, flat = _heap(rng, shapes.CONCAVE, 21, number)
+    high = float(rng.uniform(0.004, 0.05))
+    pile = replace(flat, objects=tuple(replace(one, position=one.position + (0.0, 0.0, high)) for one in flat.objects))
+    seen = {placed.model.name: _mesh(placed.model, f"21_{number}", folder) for placed in pile.objects}
+    for k in range(2):
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        half = rng.uniform(0.16, 0.3, 2)
+        boards = [Body("box", 0, np.array([*2.0 * half, high]), np.array([0.0, 0.0, high / 2.0]), np.eye(3))]
+        if rng.random() < 0.5:
+            low = float(rng.uniform(0.004, 0.04))
+            beside = half[0] + rng.uniform(0.1, 0.2)
+            boards.append(Body("box", 0, np.array([0.2, 0.4, low]), np.array([beside, 0.0, low / 2.0]), np.eye(3)))
+        view = (_steep(rng) if k % 2 else float(rng.uniform(20.0, 60.0))), float(rng.uniform(0.6, 1.1))
+        scene = look(_turned(pile, angle), seen, kind, view, SampleKey(21, number, k), boards)
+        if visible(scene):
+            yield f"{kind}{number:04d}{k}", scene
 
 
 def _heap(rng: Rng, also: Sequence[Callable[[Rng], Model]], seed: int, number: int) -> tuple[str, Pile]:
@@ -336,7 +377,7 @@ def _mesh(model: Model, prefix: str, folder: Path) -> str:
     return write_mesh(replace(model, name=f"{prefix}_{model.name}"), folder / "meshes")
 
 
-SETS: Final[dict[str, tuple[Callable[[int, Path], Iterator[tuple[str, Scene]]], int]]] = {"arr": (arranged, 500), "sing": (on_its_own, 300), "touch": (touching, 308), "behind": (behind, 96), "train": (in_piles, 139), "above": (from_above, 171), "heap": (heaped, 458), "in": (contained, 458), "bin": (in_a_bin, 416)}  # fmt: skip
+SETS: Final[dict[str, tuple[Callable[[int, Path], Iterator[tuple[str, Scene]]], int]]] = {"arr": (arranged, 500), "sing": (on_its_own, 300), "touch": (touching, 308), "behind": (behind, 96), "train": (in_piles, 139), "above": (from_above, 171), "heap": (heaped, 458), "in": (contained, 458), "bin": (in_a_bin, 416), "small": (small, 300), "board": (raised, 300)}  # fmt: skip
 
 
 def write_scenes(folder: Path, jobs: int) -> None:
@@ -432,6 +473,33 @@ def bare(scene: LabelledCloud, rng: Rng) -> LabelledCloud:
     return replace(scene, cloud=Cloud(points.astype(np.float32)), labels=np.where(seen, labels, 0).astype(np.int32))
 
 
+def nearer(scene: LabelledCloud, rng: Rng) -> LabelledCloud:
+    """The scene several times smaller, as small parts near the camera."""
+    return replace(scene, cloud=Cloud(scene.cloud.xyz * np.float32(rng.uniform(0.3, 0.8))))
+
+
+def cut_off(scene: LabelledCloud, rng: Rng) -> LabelledCloud:
+    """A part of the image, whose border cuts objects."""
+    (h, w), share = scene.labels.shape, rng.uniform(0.45, 0.8)
+    rows, columns = int(h * share), int(w * share)
+    v, u = int(rng.integers(h - rows + 1)), int(rng.integers(w - columns + 1))
+    some = np.s_[v : v + rows, u : u + columns]
+    return replace(scene, cloud=Cloud(np.ascontiguousarray(scene.cloud.xyz[some])), labels=scene.labels[some])
+
+
+def mirrored(scene: LabelledCloud) -> LabelledCloud:
+    """The scene with left and right exchanged."""
+    xyz = np.ascontiguousarray(scene.cloud.xyz[:, ::-1]) * np.array([-1.0, 1.0, 1.0], np.float32)
+    return replace(scene, cloud=Cloud(xyz), labels=np.ascontiguousarray(scene.labels[:, ::-1]))
+
+
+def seen_otherwise(scene: LabelledCloud, rng: Rng) -> LabelledCloud:
+    """A real scene in another size, each second time in a mirror, and each third time a part of it."""
+    scene = mirrored(scene) if rng.random() < 0.5 else scene
+    scene = replace(scene, cloud=Cloud(scene.cloud.xyz * np.float32(rng.uniform(0.8, 1.25))))
+    return cut_off(scene, rng) if rng.random() < 1.0 / 3.0 else scene
+
+
 class Recorder:
     """Splitting, called by segmentation, with the trees it rates with and the pairs that it rates."""
 
@@ -460,7 +528,7 @@ class Recorder:
         (h, w), rows = scene.labels.shape, self._rows[:count]
         v, u = np.divmod(rows[:, :2].astype(np.int64), -(-window.labels.shape[1] // k) * k)
         of = scene.labels[np.minimum(v + window.rows, h - 1), np.minimum(u + window.columns, w - 1)]
-        known = of.any(axis=1)
+        known = of.any(axis=1) & (of >= 0).all(axis=1)
         return rows[known, 2:].copy(), ((of[:, 0] == of[:, 1]) & (of[:, 0] > 0))[known].astype(np.float64)
 
 
@@ -469,6 +537,9 @@ def variant(path: Path, number: int = 0) -> LabelledCloud:
     rng = np.random.default_rng([*path.stem.encode(), number])
     with np.load(path) as arrays:
         scene = LabelledCloud(path.stem, str(arrays["kind"]), Cloud(arrays["xyz"]), arrays["labels"])
+    scene = mirrored(scene) if rng.random() < 0.5 else scene
+    scene = nearer(scene, rng) if rng.random() < NEAR else scene
+    scene = cut_off(scene, rng) if scene.kind != "single" and rng.random() < CUT else scene
     share = rng.random()
     if scene.kind == "single" and share > BLURRED:
         return bare(scene, rng)
@@ -499,14 +570,14 @@ def _the_recorder() -> Recorder:
     return Recorder()
 
 
-def learned(rows: Sequence[Float64], same: Sequence[Float64], count: int) -> Float32:
+def learned(rows: Sequence[Float64], same: Sequence[Float64], count: int, weights: Sequence[Float64] | None = None) -> Float32:
     """Trees (T, 3 * 2**DEPTH - 2): nodes of (feature, threshold) and leaves in the order of a heap."""
     x, y = np.concatenate(rows), np.concatenate(same)
     signs = [MORE.count(k) - LESS.count(k) for k in range(FEATURES)]
     model = HistGradientBoostingClassifier(
         max_iter=count, max_depth=DEPTH, learning_rate=RATE, max_leaf_nodes=None, min_samples_leaf=40, l2_regularization=1.0,
         early_stopping=False, random_state=0, monotonic_cst=signs,
-    ).fit(x, y)  # fmt: skip
+    ).fit(x, y, None if weights is None else np.concatenate(weights))  # fmt: skip
     inner = 2**DEPTH - 1
     trees = np.zeros((count, 3 * inner + 1), np.float32)
     trees[:, 1 : 2 * inner : 2] = np.inf  # to the left

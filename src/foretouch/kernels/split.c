@@ -12,7 +12,7 @@
 #include "eigen.h"
 #include "sets.h"
 
-enum { BEND, STEP_M, PART_M2, SAME, PLANE, PITCH = PLANE + 4 };  /* of `settings` */
+enum { BEND, STEP_M, PART_M2, SAME, PLANE, PITCH = PLANE + 4, NOISE }; /* of `settings` */
 enum { PARTS, BY_SIZE, BY_BORDER, BY_VIEW, RATED, COUNTS };       /* of `counts` */
 enum { TINY_ONES, RATED_ONES, SMALL_ONES };                       /* that are joined, in this order */
 
@@ -33,7 +33,7 @@ enum { TINY_ONES, RATED_ONES, SMALL_ONES };                       /* that are jo
 /* Sums over the cells of a fragment: of points p about an origin, and where there is a normal n of p, n and m = p x n. */
 enum { CELLS, AREA, OUTLINE, P, PP = P + 3, SEEN = PP + 6, HOLLOWS, PN, Q, N = Q + 3, NN = N + 3, NM = NN + 6, MM = NM + 9, TOUCH = MM + 6, SUMS };
 /* and over the edges of a border: `before` those where the first is nearer less the others, then lines behind a nearer part, and points. */
-enum { LENGTH, BENT, STEPS, CONVEX, SIGNED, BEFORE, STEPPED, LINES, AGREE, SHARP, UNEVEN, MIDDLE, EDGES = MIDDLE + 3, FEATURES = 62 };
+enum { LENGTH, BENT, STEPS, CONVEX, SIGNED, BEFORE, STEPPED, LINES, AGREE, SHARP, UNEVEN, MIDDLE, EDGES = MIDDLE + 3, FEATURES = 64 };
 
 typedef struct {
     float p[3], d, n[3]; /* mean point [m], its inverse depth, normal towards the camera; NAN where there is none */
@@ -533,6 +533,7 @@ static void describe(const graph *g, const border *of, double *x) {
     *x++ = top - high, *x++ = high - bottom, *x++ = high / fmax(top, 0.005), *x++ = dot(small->is.n, at) - dot(small->is.n, apart), *x++ = dot(large->is.n, at);
     *x++ = (dot(all.n, at) - dot(at, apart) / far * dot(all.n, apart)) / sqrt(far), *x++ = all.out / sqrt(sum[AREA]);
     *x++ = (all.out - (small->is.out * small->sum[SEEN] + large->is.out * large->sum[SEEN]) / seen) / sqrt(sum[AREA]);
+    *x++ = side, *x++ = g->s[NOISE] * side / (g->s[PITCH] * g->s[PITCH]); /* of a cell, and deviation of its depth by its side */
 }
 
 /* JOINING. Rates a border by trees: log odds that its fragments are one object. With room for it, the row is kept for learning, after the

@@ -103,7 +103,7 @@ def test_255_labels_are_255_objects_or_named(cloud, labels):
 @pytest.mark.real_data
 def test_real_images_have_as_many_objects_as_labels_and_grasps_only_on_them(real_data: Path):
     images = sorted((real_data / "real_scenes").glob("*.npz"))
-    assert len(images) == 18
+    assert len(images) == 27
     pipeline = Pipeline(PipelineConfig.from_mapping({"target": {"mode": "all", "max_objects": 100}}))
 
     def check(path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from foretouch.cloud.segmentation.background import ENTERS, REASONS
+from foretouch.cloud.segmentation.background import ENTERS, REASONS, Background
 from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, HeightThreshold
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
@@ -20,6 +20,7 @@ _collect_members = Kernel("collect_members")
 _write = Kernel("write_ids")
 
 AMBIGUOUS_TARGET = "ambiguous_target"  # flag, and start of the reason, where a rule had to choose between equal objects
+CUT = "cut_by_image"  # flag of an object that the border of the image cuts
 
 _SAME_PLACE_M = 0.03  # an object that moves less between two clouds is the same
 _SAME_ANGLE = float(np.radians(1.0))  # objects whose angles to the optical axis differ less are equally central
@@ -35,7 +36,7 @@ def extract_objects(
     threshold: HeightThreshold,
     config: ClusterConfig,
     labels: Int32,
-    reasons: Int64 | None = None,
+    found: Background | None = None,
 ) -> tuple[tuple[Object, ...], tuple[Object, ...], dict[str, int]]:
     """Extract the clusters of a plausible size as objects, and those that are background.
 
@@ -45,7 +46,7 @@ def extract_objects(
         threshold: The table, and the noise of the depth.
         config: Limits of the size.
         labels: (H, W) or (N,) int32, zeros; the ids of objects are written into it.
-        reasons: The index in `REASONS` of each label, counted on from one window to the next; all are objects if absent.
+        found: Which labels are background, and which the image cuts; all are whole objects if absent.
 
     Returns:
         Objects in order of the distance of their centroid from the camera, ties by position in the image; background in the
@@ -62,11 +63,12 @@ def extract_objects(
     first = 0  # label of the window among all labels
     for number, window in enumerate(windows):
         for label, candidate, top_m in _clusters(flat, window, image.shape[1], threshold.plane, shape):
-            reason = "" if reasons is None else REASONS[reasons[first + label]]
+            reason = "" if found is None else REASONS[found.reasons[first + label]]
             if reason == ENTERS or (reason and candidate.n_points >= config.min_points):
                 behind.append((candidate.distance_m, number, label, replace(candidate, background=reason)))
             elif not reason and _plausible(candidate, top_m, threshold, config):
-                standing.append((candidate.distance_m, number, label, candidate))
+                flags = (CUT,) if found is not None and found.cut[first + label] else ()
+                standing.append((candidate.distance_m, number, label, replace(candidate, flags=flags)))
             else:
                 rejected.append(candidate.n_points)
         first += window.n_labels
@@ -165,6 +167,8 @@ def select_targets(
     """
     if not objects:
         return [], "there is no object"
+    if config.mode in {"nearest", "largest"}:
+        objects = _whole(objects)
     if config.mode == "all":
         limit = config.max_objects
         more = f"the {limit} nearest of {len(objects)} objects (target.max_objects)" if len(objects) > limit else ""
@@ -212,7 +216,7 @@ def select_free(
     """
     free: list[Object] = []
     blocked: list[tuple[float, Object, str]] = []
-    for obj in sorted(objects, key=lambda entry: entry.distance_m)[: config.max_objects]:
+    for obj in sorted(_whole(objects), key=lambda entry: entry.distance_m)[: config.max_objects]:
         if free and obj.distance_m - free[0].distance_m >= config.margin_m:
             break
         lost, why = loss(obj)
@@ -226,6 +230,11 @@ def select_free(
         return [least], f"no object is free: {'; '.join(notes)}; object {least.id} is hindered least"
     chosen, tie = select_targets(free, config.updated({"mode": "nearest"}), previous)
     return chosen, "; ".join([tie, *notes] if tie else notes)
+
+
+def _whole(objects: Sequence[Object]) -> Sequence[Object]:
+    """Return the objects that the image does not cut, or all if it cuts each."""
+    return [obj for obj in objects if CUT not in obj.flags] or objects
 
 
 def _one_of(

@@ -23,7 +23,7 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from foretouch.cloud.geometry.columns import median
-from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold, WritePoints
+from foretouch.cloud.segmentation.clusters import LOCAL_FACTOR, Clusters, HeightThreshold, WritePoints
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel, struct
 from foretouch.types import Float32, Float64, Int32, Int64
@@ -34,7 +34,7 @@ _concave = Kernel("concave_nodes")
 
 SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_border", "joined_hidden")
 TREES = Path(__file__).with_name("same_object.safetensors")
-_NO_ROWS = np.empty((0, 64))
+_NO_ROWS = np.empty((0, 66))
 _MAX_CELL = 8  # pixels
 _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
@@ -113,12 +113,12 @@ def split_clusters(
     side = pitch * depth  # of a pixel [m]
     arm, touching = max(1, round(_ARM_M / side)), np.empty(2, np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
-    _concave(window.as_struct(xyz), stride, arm, _SAG_M, threshold.noise_per_m, touching)
+    _concave(window.as_struct(xyz), stride, arm, _SAG_M, LOCAL_FACTOR * threshold.local_per_m, touching)
     if touching.max() < _FEW:
         return list(windows), counts
     if write is not None and len(windows) > 1:
         write(window.rows, window.rows + h, window.columns, window.columns + w)
-    cell = _cell_of(threshold.noise_per_m, config.cell_m, depth, side)
+    cell = _cell_of(LOCAL_FACTOR * threshold.local_per_m, config.cell_m, depth, side)
     settings = [
         np.radians(config.angle_deg),
         _STEP_M,
@@ -126,6 +126,7 @@ def split_clusters(
         np.log(config.same_object / (1.0 - config.same_object)),
         *threshold.plane.coefficients,
         pitch * cell,
+        threshold.local_per_m,
     ]
     labels, (parts, *joined, _) = split_window(xyz, window, cell, np.array(settings))
     clusters = np.zeros(window.n_labels + 1, np.bool_)
@@ -144,7 +145,7 @@ def split_window(
         window: Its clusters.
         cell: Side of a cell [px].
         settings: Numbers of the kernel.
-        rows: (n, 64) float64, written: the pixels of both fragments in whole cells, and the input of the trees, of the first pairs that are rated.
+        rows: (n, 66) float64, written: the pixels of both fragments in whole cells, and the input of the trees, of the first pairs that are rated.
 
     Returns:
         The parts (h, w) int32, and the number of parts, those that were joined for each reason, and the pairs that were rated.

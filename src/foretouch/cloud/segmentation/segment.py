@@ -25,6 +25,7 @@ from foretouch.cloud.segmentation.clusters import (
     in_range,
     label_organised,
     label_unorganised,
+    local_noise,
     pixel_pitch,
 )
 from foretouch.cloud.segmentation.objects import extract_objects
@@ -171,16 +172,17 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         return "no_plane", reason, None, *nothing, labels
     with timed(ms, "clusters"):
         limits = config.clusters
-        threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M)
+        threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M, noise_per_m)
         if cloud.organised:
             grid = CoarseGrid(coarse, stride, pixel_pitch(coarse))
+            threshold = threshold._replace(local_per_m=local_noise(grid, config.crop))
             windows = label_organised(xyz, grid, config.crop, threshold, limits, rays, write)
-            reasons, outline = find_background(grid, windows, threshold)
-            windows, parts = split_clusters(xyz, windows, threshold, grid.pitch / stride, config.split, reasons, write)
+            found = find_background(grid, windows, threshold, limits.max_extent_m)
+            windows, parts = split_clusters(xyz, windows, threshold, grid.pitch / stride, config.split, found.reasons, write)
             if parts["parts"]:
-                reasons, outline = find_background(grid, windows, threshold)
+                found = find_background(grid, windows, threshold, limits.max_extent_m)
         else:
-            reasons, outline = None, np.empty((0, 3))
+            found = None
             windows = label_unorganised(xyz, config.crop, threshold)
             windows, parts = split_list(xyz, windows, threshold, config.split)
         counts |= parts
@@ -188,10 +190,10 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
             counts["off_ray"] = rays.count_dropped(xyz)
     with timed(ms, "objects"):
         made = Cloud(xyz, cloud.rgb, cloud.frame_id, cloud.stamp_ns) if isinstance(source, DepthImage) else cloud
-        objects, background, numbers = extract_objects(made, windows, threshold, limits, labels, reasons)
+        objects, background, numbers = extract_objects(made, windows, threshold, limits, labels, found)
         counts |= numbers
     reason = "" if objects else _why_no_object(counts["n_rejected"], counts["n_background"], limits)
-    return "ok" if objects else "no_object", reason, plane, objects, background, outline, labels
+    return "ok" if objects else "no_object", reason, plane, objects, background, np.empty((0, 3)) if found is None else found.outline, labels
 
 
 def _image_of(cloud: Cloud) -> DepthImage | None:
