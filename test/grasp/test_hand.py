@@ -210,7 +210,9 @@ def test_an_arm_that_turns_to_an_angle_said_to_be_free_meets_nothing() -> None:
                 free = bool(clear_m >= 0.0)
                 found[free] += 1
                 met = _inside_boxes((points - grasp.midpoint) @ frame, hand.opened(grasp.width_m))
-                assert not (free and met), f"thumb at g{thumb + 1}, {np.degrees(tilt):g} degrees: {1e3 * clear_m:.0f} mm"
+                assert not (free and met), (
+                    f"thumb at g{thumb + 1}, {np.degrees(tilt):g} degrees: {1e3 * clear_m:.0f} mm"
+                )
         chosen = grasp.way.approaches[0] if grasp.way.thumb_at == "g1" else grasp.way.approaches[1]
         angle = np.degrees(np.arctan2(-grasp.way.approach @ beside, -grasp.way.approach @ upwards))
         assert chosen[np.abs(np.degrees(TILTS) - angle).argmin()] > -0.003  # where the hand was planned to come from

@@ -66,7 +66,9 @@ _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of 
 _CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
 _LEAST_M, _MORE_M = -0.002, 0.004  # of clearance, below which a hand does not come, and above which more is of no use
 _SCARCE_DEG = 100.0  # of tilting that the least clearance is worth; half of it is worth a quarter
-_OTHER_THUMB_DEG = 80.0  # of tilting, for which the thumb of a hand with a palm takes the contact on the left of the image
+_OTHER_THUMB_DEG = (
+    80.0  # of tilting, for which the thumb of a hand with a palm takes the contact on the left of the image
+)
 _OTHER_SIDE_DEG = 1.0  # of tilting, for which the palm comes from the other side
 _NEAR_DEG = 4.0  # of tilting, in which the weight of an angle beside the best falls by a factor of e
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts

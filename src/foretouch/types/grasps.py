@@ -10,7 +10,6 @@ import numpy as np
 from foretouch.errors import ForetouchError, GraspError
 from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers
 
-
 TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
 """Angles of the palm about the line from g1 to g2 [rad]: 0 is straight above, positive ones come from the side to which up x line points."""
 
