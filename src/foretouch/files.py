@@ -116,34 +116,66 @@ def _descriptor(path: str | Path, flags: int) -> int:
 class FileBytes:
     """The bytes of a regular file, read when they are sliced, of which short slices share a read.
 
-    A file that is truncated after it was opened raises a `FileError`; a mapping of it would end the process.
+    Threads and forked processes read at the same time, since no read depends on a position of the file. A pickled one opens
+    the file again, wherever the process is. A file that is truncated after it was opened raises a `FileError`; a mapping of it
+    would end the process.
 
     Args:
         path: The file; its size is the one that it has now.
 
     Raises:
-        FileError: As `open_regular`; later, if bytes are not there any more or cannot be read.
+        FileError: As `open_regular`; later, if bytes are not there any more or cannot be read, or if a pickled one finds other
+            bytes at the beginning of the file, or fewer.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._file = open_regular(path)
-        weakref.finalize(self, self._file.close)
-        self._size = os.fstat(self._file.fileno()).st_size
+        self._place = Path(path).absolute()
+        self._size = self._open(self.path)
+
+    def _open(self, path: Path) -> int:
+        """Open the file and return its size."""
+        file = open_regular(path)
+        weakref.finalize(self, file.close)
+        self._descriptor = file.fileno()
+        self._ahead: tuple[int, bytes] = 0, b""  # offset and content of a read; replaced as a whole: threads share it
+        return os.fstat(self._descriptor).st_size
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "_place": self._place, "_size": self._size, "head": self[: min(_AHEAD, self._size)]}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        head = state.pop("head")
+        vars(self).update(state)
+        if self._open(self._place) < self._size or self[: len(head)] != head:
+            raise FileError(self.path, "was changed after it was opened: open it again")
 
     def __len__(self) -> int:
         return self._size
 
     def __getitem__(self, part: slice) -> bytes:
         start, end, _ = part.indices(self._size)
-        try:
-            self._file.seek(start)
-            content = self._file.read(max(0, end - start))
-        except OSError as err:  # as `system_errors`, which takes longer than a short read
-            raise FileError(self.path, err.strerror or str(err)) from err
+        at, content = self._ahead
+        if at <= start and end <= at + len(content):
+            return content[start - at : end - at]
+        content = self._read(start, max(end - start, _AHEAD))
         if len(content) < end - start:
             raise FileError(self.path, "was truncated while it was read", field=f"byte {start + len(content)}")
-        return content
+        if end - start >= _AHEAD:
+            return content
+        self._ahead = start, content
+        return content[: end - start]
+
+    def _read(self, start: int, size: int) -> bytes:
+        """Return bytes from an offset on, fewer at the end of the file."""
+        parts = []
+        try:
+            while size > 0 and (part := os.pread(self._descriptor, size, start)):  # of some GB less than was asked for
+                parts.append(part)
+                start, size = start + len(part), size - len(part)
+        except OSError as err:  # as `system_errors`, which takes longer than a short read
+            raise FileError(self.path, err.strerror or str(err)) from err
+        return b"".join(parts)
 
     def blocks(self, start: int, end: int, overlap: int = 0) -> Iterator[tuple[int, bytes]]:
         """Iterate over the bytes between two offsets by blocks with their offsets; each reaches `overlap` bytes into the next."""
