@@ -92,8 +92,8 @@ class Predictions(Columns, Sequence["Prediction"]):
     channels: Channels = NO_CHANNELS  # what the D values are
     lower: Float64 = column(None, default=np.nan)  # (K, D) float64, lower bounds of the prediction intervals
     upper: Float64 = column(None, default=np.nan)  # (K, D) float64, upper bounds
-    # (K,) tuples of `out_of_range`, `unfamiliar`, `similar_touches`, `equal_pressure`, `late`, `fallback_model`,
-    # `ambiguous_target`, `unknown_frame`
+    # (K,) tuples of `out_of_range`, `unfamiliar` and its reasons, `similar_touches`, `equal_pressure`, `off_object`,
+    # `assumed_table`, `late`, `fallback_model`, `ambiguous_target`, `selected`, `unknown_frame` (docs/planners.md)
     flags: Objects = column(default=(), dtype=object)
     status: Objects = column(default="ok", dtype=object)  # (K,) `ok`, `bad_grasp`: no hand can execute it, or `refused`
     reason: Objects = column(default="", dtype=object)  # (K,) why it was refused; "" if ok
@@ -259,3 +259,19 @@ class Prediction:
         """The readings behind `reference`."""
         evidence: Evidence = self._rows.evidence[self._k]
         return evidence
+
+
+def evidence_text(reference: str, touches: int, readings: int) -> str:
+    """Describe a reference.
+
+    Args:
+        reference: Its name, such as `touches`.
+        touches: Number of touches that a prediction was adapted to.
+        readings: Number of readings that it was adapted to.
+    """
+    texts = {
+        "none": "cloud only",
+        "touches": f"{touches} touch{'' if touches == 1 else 'es'}",
+        "history": f"history of {readings} readings",
+    }
+    return texts.get(reference, reference)
