@@ -4,6 +4,7 @@
 import os
 import runpy
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -155,6 +156,41 @@ def test_no_contact_is_named(tmp_path: Path, pads: Path) -> None:
     with pytest.warns(UserWarning, match="no_contact: 1 samples, first mug/7: none found after 20 readings"):
         (record,) = written(tmp_path / "ds", pads, grasp(pressed(contact=100)))
     assert record.touch is None
+
+
+def test_a_sample_is_labelled_by_the_rules_of_the_recorder(tmp_path: Path, pads: Path) -> None:
+    frozen, dead, restless, lost = pressed(), pressed(), pressed(), pressed()
+    frozen[35:, 3:] = frozen[35, 3:]
+    dead[:, 3:] = dead[0, 3:]
+    restless[10:20] += 400
+    lost[5:8], lost[30:33] = 4000, 0  # saturated in the rest, and packets that a driver stored as zeros
+    alone = pressed()
+    alone[:, 3:] = pressed(seed=1, contact=100)[:, 3:]
+    cases = {
+        "frozen": (frozen, ("no_contact_B", "frozen_B"), True),
+        "dead": (dead, ("frozen_sensor",), False),
+        "restless": (restless, ("restless_tare",), False),
+        "alone": (alone, ("no_contact_B",), True),
+        "lost": (lost, (), True),
+    }
+    for name, (rows, flags, has_touch) in cases.items():
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            (sample,) = written(tmp_path / name, pads, grasp(rows))
+        assert (sample.flags, sample.touch is not None) == (flags, has_touch), name
+        assert [str(one.message).partition(":")[0] for one in caught] == [*flags], name
+        assert_array_equal(sample.series.counts, rows)
+        assert sample.contact_ns == (sample.series.stamps_ns[40] if has_touch else None)
+        assert set(np.flatnonzero(sample.series.phases == HOLD)) == (set(range(70, 100)) if has_touch else set())
+
+
+def test_a_tare_of_ones_own_is_kept_without_a_label(tmp_path: Path, pads: Path) -> None:
+    rows = pressed()
+    rows[:, 3:] = rows[0, 3:]
+    tare = {"P_A": np.full(3, 990.0), "P_B": np.full(3, 991.0)}
+    with pytest.warns(UserWarning, match="frozen_sensor: 1 samples, first mug/7: B: the same 100 times"):
+        (sample,) = written(tmp_path / "ds", pads, grasp(rows, tare=tare))
+    assert_array_equal(sample.tare.values, np.repeat([990.0, 991.0], 3))
 
 
 def test_missing_numbers_are_refused_held_or_masked_by_setting(tmp_path: Path, pads: Path) -> None:

@@ -9,11 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.dataset.identity import check_id
-from foretouch.dataset.pairing.matcher import SETTLE_NS
+from foretouch.dataset.pairing.cut import PairingError, label_series
 from foretouch.errors import DatasetError, none_of
-from foretouch.tactile.contact_detector import RELEASE_LEVEL, contact_scores, find_contact
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.readings import rest_of
 from foretouch.types import (
     APPROACH,
     HOLD,
@@ -135,18 +133,36 @@ class GraspArrays:
         if counts.ndim == 1:
             extra = {key: float(column[0]) for key, column in others.items()}
             return replace(sample, touch=Touch(rows[0], channels), extra=extra)
-        touch, rested, phases, contact_ns = _cut(stamps, rows, whole, self.rest, channels)
-        if self.rest and touch is None:
-            remark = f"{name or label}: none found after {self.rest} readings at rest, so no touch"
-            remarks.setdefault("no_contact", []).append(remark)
+        phases = np.where(np.arange(len(rows)) < self.rest, REST, APPROACH).astype(np.uint8)
+        faults = stamp_faults(stamps, sensor.config.update_rate)
+        series = TouchSeries(stamps, rows.astype(np.float32), phases, others)
+        sample = replace(sample, series=series, flags=(*flags, *faults))
+        return self._labelled(sample, rows, whole, channels, remarks) if self.rest else sample
+
+    def _labelled(self, sample: Sample, rows: Float64, whole: Float64, channels: Channels, remarks: Remarks) -> Sample:
+        """Label a sample by the rules of the recorder; without a label, a flag or a remark says why."""
+        name, series = sample.id or sample.object, sample.series
+        assert series is not None  # noqa: S101  it has readings at rest
+        try:
+            label = label_series(series.stamps_ns, rows, self.rest, channels, complete=whole)
+        except PairingError as err:
+            remarks.setdefault(err.reason, []).append(f"{name}: {err}, so no touch")
+            return replace(sample, flags=(*sample.flags, err.reason))
+        if label.touch is None:
+            found = "none found" if label.contact_ns is None else "only one of less than 0.3 s at the end"
+            found += f" after {self.rest} readings at rest, so no touch"
+            remarks.setdefault("no_contact", []).append(f"{name}: {found}")
+        for flag, text in label.flags.items():
+            if label.touch is not None or not flag.startswith("no_contact"):
+                remarks.setdefault(flag, []).append(f"{name}: {text}")
+        series.phases[label.hold] = HOLD
         return replace(
             sample,
-            touch=touch,
-            tare=rested if tare is None else tare,
-            series=TouchSeries(stamps, rows.astype(np.float32), phases, others),
-            contact_ns=contact_ns,
-            detector="" if contact_ns is None else "contact_detector",
-            flags=(*flags, *stamp_faults(stamps, sensor.config.update_rate)),
+            touch=label.touch,
+            tare=label.tare if sample.tare is None else sample.tare,
+            contact_ns=label.contact_ns,
+            detector=label.detector,
+            flags=(*sample.flags, *label.flags),
         )
 
     def _others(self, count: int, missing: Missing) -> tuple[dict[str, AnyArray], int]:
@@ -326,29 +342,3 @@ def _outcome(outcome: Any) -> Outcome:
     if plain not in known:
         raise DatasetError(f"outcome: {none_of(plain, _OUTCOMES.values())}; they are also True, False and None")
     return known[plain]
-
-
-def _cut(
-    stamps: Int64, values: Float64, whole: Float64, rest: int, channels: Channels
-) -> tuple[Touch | None, Touch | None, AnyArray, int | None]:
-    """Cut touch and tare out of (T, D) readings, the phase of each, and the first contact [ns]; what is not there is None.
-
-    Contact is found in the readings without gaps, `whole`.
-    """
-    phases, resting = np.full(len(stamps), APPROACH, np.uint8), whole[:rest]
-    phases[: len(resting)] = REST
-    if not len(resting):
-        return None, None, phases, None
-    tare = rest_of(np.median(resting, axis=0), channels)
-    onsets = [onset for onset in find_contact(stamps, whole, resting, channels) if onset is not None]
-    if not onsets:
-        return None, tare, phases, None
-    touching = (contact_scores(whole, resting, channels) >= RELEASE_LEVEL).any(axis=1)
-    held = touching & (stamps >= min(onsets) + SETTLE_NS) & (phases != REST)
-    phases[held] = HOLD
-    if not held.any():
-        return None, tare, phases, min(onsets)
-    read = np.isfinite(values[held]).any(axis=0)
-    touch = np.full(channels.size, np.nan)
-    touch[read] = np.nanmedian(values[held][:, read], axis=0)
-    return Touch(touch, channels), tare, phases, min(onsets)
