@@ -15,10 +15,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from foretouch.api import draw, fit, open, plan, reading, segment  # noqa: A004
+    from foretouch.api import calibrate, draw, evaluate, fit, open, plan, reading, segment  # noqa: A004
     from foretouch.cloud.io.files import read_cloud, write_cloud
     from foretouch.dataset.writing import write
     from foretouch.errors import ForetouchError
+    from foretouch.models.predictor import Estimate
     from foretouch.models.registry import available_models, load_model
     from foretouch.models.touch_model import History, TouchModel
     from foretouch.pipeline import Pipeline, PipelineConfig
@@ -39,10 +40,11 @@ if TYPE_CHECKING:
 __version__ = "0.4.0"
 
 _PLACES = {
-    "foretouch.api": ("draw", "fit", "open", "plan", "reading", "segment"),
+    "foretouch.api": ("calibrate", "draw", "evaluate", "fit", "open", "plan", "reading", "segment"),
     "foretouch.cloud.io.files": ("read_cloud", "write_cloud"),
     "foretouch.dataset.writing": ("write",),
     "foretouch.errors": ("ForetouchError",),
+    "foretouch.models.predictor": ("Estimate",),
     "foretouch.models.registry": ("available_models", "load_model"),
     "foretouch.models.touch_model": ("History", "TouchModel"),
     "foretouch.pipeline": ("Pipeline", "PipelineConfig"),
@@ -57,6 +59,7 @@ _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 __all__ = [
     "CameraModel",
     "Cloud",
+    "Estimate",
     "ForetouchError",
     "Grasp",
     "Grasps",
@@ -74,7 +77,9 @@ __all__ = [
     "TouchModel",
     "__version__",
     "available_models",
+    "calibrate",
     "draw",
+    "evaluate",
     "fit",
     "load_model",
     "open",
