@@ -21,8 +21,9 @@ from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError, ForetouchError, shown
 from foretouch.files import system_errors
+from foretouch.grasp import closing_faults
 from foretouch.tactile.description import Sensor, load_sensor
-from foretouch.types import Sample
+from foretouch.types import Grasps, Sample
 
 
 @dataclass(kw_only=True)
@@ -96,18 +97,23 @@ def _made_of(
 ) -> Iterator[Sample]:
     """Iterate over samples; make a sample of each mapping."""
     for number, record in enumerate(records):
-        if isinstance(record, Sample):
-            yield record
-            continue
-        if not isinstance(record, Mapping):
-            rule = "is neither a Sample nor a mapping; pass a list of them, or a dataset, such as open(PATH)"
-            raise DatasetError(f"sample {number}: {type(record).__name__} {rule}")
-        try:
-            yield GraspArrays(**record).sample(sensor, missing, remarks)
-        except (TypeError, ValueError, AttributeError, ForetouchError) as err:  # of keys and values of other types
-            name = f"{record.get('object')}/{record.get('id') or number}"[:100]
-            fault = str(err).removeprefix("GraspArrays.__init__() ")
-            raise DatasetError(f"sample {number} ({name}): {fault}") from err
+        sample = record if isinstance(record, Sample) else _sample_of(number, record, sensor, missing, remarks)
+        if fault := closing_faults(Grasps.of([sample.grasp]))[0]:
+            raise DatasetError(f"sample {number} ({sample.id or sample.object}): grasp: {fault}")
+        yield sample
+
+
+def _sample_of(number: int, record: object, sensor: Sensor, missing: Missing, remarks: Remarks) -> Sample:
+    """Make the sample of a mapping, which is named if it breaks a rule."""
+    if not isinstance(record, Mapping):
+        rule = "is neither a Sample nor a mapping; pass a list of them, or a dataset, such as open(PATH)"
+        raise DatasetError(f"sample {number}: {type(record).__name__} {rule}")
+    try:
+        return GraspArrays(**record).sample(sensor, missing, remarks)
+    except (TypeError, ValueError, AttributeError, ForetouchError) as err:  # of keys and values of other types
+        name = f"{record.get('object')}/{record.get('id') or number}"[:100]
+        fault = str(err).removeprefix("GraspArrays.__init__() ")
+        raise DatasetError(f"sample {number} ({name}): {fault}") from err
 
 
 def write_records(
