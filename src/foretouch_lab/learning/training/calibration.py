@@ -23,13 +23,13 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import DatasetError
-from foretouch.models.calibration import Calibration, CalibrationGroup, tare_offset
+from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup, tare_offset
 from foretouch.types import Bool, Float64, Sample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of
 from foretouch_lab.learning.data.folds import Fold, HoldOut, make_folds, object_folds, predict_folds
 from foretouch_lab.learning.prequential import TimedReadings
-from foretouch_lab.learning.training.tracker import fit_tracker
+from foretouch_lab.learning.training.tracker import fit_tracker, widen_unread
 
 COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
@@ -187,6 +187,14 @@ def calibrate_on_folds(
         calibration = replace(calibration, tracker=tracker)
     origin = "recorded tares" if recorded else GUESSED
     return calibration, {**facts, "rest": origin if channels.tared.any() else "zero by the sensor's description"}
+
+
+def with_conformal_start(calibration: Calibration) -> Calibration:
+    """Return the calibration with intervals before any reading that are about as wide as the conformal ones; see `widen_unread`."""
+    if calibration.tracker is None:
+        return calibration
+    known, new = (calibration.groups[name].half_width for name in GROUPS)
+    return replace(calibration, tracker=widen_unread(calibration.tracker, known, new))
 
 
 def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> CalibrationGroup:

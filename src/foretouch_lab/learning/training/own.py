@@ -26,7 +26,7 @@ from foretouch.types import Float64, Grasps, Sample
 from foretouch_lab.learning.data.dataset import dataset_from
 from foretouch_lab.learning.data.folds import SPLITS, Fold
 from foretouch_lab.learning.data.training_set import labels_of
-from foretouch_lab.learning.training.calibration import calibrate_on_folds, guarantee
+from foretouch_lab.learning.training.calibration import calibrate_on_folds, guarantee, with_conformal_start
 from foretouch_lab.learning.training.fit import temporary_model
 from foretouch_lab.learning.training.run_config import RunConfig
 
@@ -86,8 +86,8 @@ def calibrate(
     model = plain_model(final, data.sensor)
     says = model.estimate(labelled[0].cloud, Grasps.of([labelled[0].grasp])).familiar is not None
     held_out = OwnHoldOut(model, labelled, refit)
-    calibration = calibrate_on_folds(labelled, labels_of(labelled), held_out, seed, split=split, workers=workers)
-    calibration[1]["split"] = split
+    calibration, told = calibrate_on_folds(labelled, labels_of(labelled), held_out, seed, split=split, workers=workers)
+    calibrated = with_conformal_start(calibration), {**told, "split": split}
     fate = "fitted to" if refit else "given as it is, calibrated on"
     source = {"name": data.name, "sha256": data.sha256, "samples": len(data.samples)}
     origin = {key: value for key, value in data.origin.items() if key != "limits"}
@@ -96,12 +96,12 @@ def calibrate(
         "summary": f"{name_of(final)}, {fate} {len(labelled)} labelled samples of {data.name}",
         "data": {**trained, **origin},
         "calibrated_on": source,
-        "limits": [guarantee(calibration[1]), *_limits(split, refit=refit, says=says)],
+        "limits": [guarantee(told), *_limits(split, refit=refit, says=says)],
         "version": __version__,
     }
     facts = with_sensor(facts, data.sensor)
     try:
-        return temporary_model(lambda folder: save_own(folder / f"{name}.json", final, facts, calibration), final)
+        return temporary_model(lambda folder: save_own(folder / f"{name}.json", final, facts, calibrated), final)
     except ModelError as err:  # of errors that are almost zero
         raise ModelError(f"{name}: no calibration can be made of its errors: {err}; was it trained on them?") from err
 
