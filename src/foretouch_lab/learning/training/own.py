@@ -86,8 +86,8 @@ def calibrate(
     model = plain_model(final, data.sensor)
     says = model.estimate(labelled[0].cloud, Grasps.of([labelled[0].grasp])).familiar is not None
     held_out = OwnHoldOut(model, labelled, refit)
-    calibration, told = calibrate_on_folds(labelled, labels_of(labelled), held_out, seed, split=split, workers=workers)
-    calibrated = with_conformal_start(calibration), {**told, "split": split}
+    calibration, held = calibrate_on_folds(labelled, labels_of(labelled), held_out, seed, split=split, workers=workers)
+    calibrated = with_conformal_start(calibration), {**held, "split": split}
     fate = "fitted to" if refit else "given as it is, calibrated on"
     source = {"name": data.name, "sha256": data.sha256, "samples": len(data.samples)}
     origin = {key: value for key, value in data.origin.items() if key != "limits"}
@@ -96,7 +96,7 @@ def calibrate(
         "summary": f"{name_of(final)}, {fate} {len(labelled)} labelled samples of {data.name}",
         "data": {**trained, **origin},
         "calibrated_on": source,
-        "limits": [guarantee(told), *_limits(split, refit=refit, says=says)],
+        "limits": [guarantee(held), *_limits(split, refit=refit, says=says)],
         "version": __version__,
     }
     facts = with_sensor(facts, data.sensor)
