@@ -7,6 +7,7 @@ from typing import Final, Protocol
 
 from foretouch.tactile import Ranges
 from foretouch.types import Bool, Cloud, Float64, Grasp, Plane
+from foretouch.types.summary import Summarised
 
 UNFAMILIAR: Final[Mapping[str, str]] = {
     "larger_object": "the object is larger than any of the training",
@@ -20,8 +21,8 @@ UNFAMILIAR: Final[Mapping[str, str]] = {
 """Flags beside `unfamiliar`, and what they mean. Touch the object, or train on 20 grasps of such ones."""
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Summarised):
     """Predictions for K grasps on one cloud, before tare, touches and intervals are applied."""
 
     counts: Float64  # (K, D) float64 [counts]
