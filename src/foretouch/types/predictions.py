@@ -134,8 +134,8 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
     channels: Channels = NO_CHANNELS  # what the D values are
     lower: Float64 = column(None, default=np.nan)  # (K, D) float64, lower bounds of the prediction intervals
     upper: Float64 = column(None, default=np.nan)  # (K, D) float64, upper bounds
-    # (K,) tuples of `out_of_range`, `unfamiliar`, `similar_touches`, `equal_pressure`, `late`, `fallback_model`,
-    # `ambiguous_target`, `unknown_frame`
+    # (K,) tuples of `out_of_range`, `unfamiliar` and its reasons, `similar_touches`, `equal_pressure`, `off_object`,
+    # `assumed_table`, `late`, `fallback_model`, `ambiguous_target`, `selected`, `unknown_frame` (docs/planners.md)
     flags: Objects = column(default=(), dtype=object)
     status: Objects = column(default="ok", dtype=object)  # (K,) `ok`, `bad_grasp`: no hand can execute it, or `refused`
     reason: Objects = column(default="", dtype=object)  # (K,) why it was refused; "" if ok
@@ -376,3 +376,19 @@ def _range_texts(rows: Predictions) -> dict[str, str]:
         value, lower, upper = rows[name]
         texts_[name] = _range_text(value, channel, (upper - lower) / 2.0)
     return texts_
+
+
+def evidence_text(reference: str, touches: int, readings: int) -> str:
+    """Describe a reference.
+
+    Args:
+        reference: Its name, such as `touches`.
+        touches: Number of touches that a prediction was adapted to.
+        readings: Number of readings that it was adapted to.
+    """
+    texts = {
+        "none": "cloud only",
+        "touches": f"{touches} touch{'' if touches == 1 else 'es'}",
+        "history": f"history of {readings} readings",
+    }
+    return texts.get(reference, reference)
