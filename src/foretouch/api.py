@@ -42,12 +42,15 @@ def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: Pipeline
     return Pipeline(config).segment(cloud, mask=mask)
 
 
-def plan(target: Object, *, count: int | None = None, config: PipelineConfig | None = None) -> Grasps:
+def plan(
+    target: Object, *, count: int | None = None, hand: str | None = None, config: PipelineConfig | None = None
+) -> Grasps:
     """Plan two-finger grasps on an object.
 
     Args:
         target: An object of a `Scene`, whose other objects are avoided.
         count: Most grasps; by default one.
+        hand: A described hand that must find a way to the object, such as `franka_hand`, or the path of a YAML file.
         config: Settings of all steps; the defaults if None.
 
     Returns:
@@ -56,10 +59,12 @@ def plan(target: Object, *, count: int | None = None, config: PipelineConfig | N
 
     Raises:
         CloudError: If a scene, a cloud or background is passed for the object.
+        ConfigError: If there is no such hand, or the count is out of its bounds.
     """
     pipeline = Pipeline(config)
-    if count is not None:
-        pipeline.config = pipeline.config.updated({"grasp.count": count}, "count")
+    for name, key, value in (("count", "grasp.count", count), ("hand", "hand.name", hand)):
+        if value is not None:
+            pipeline.config = pipeline.config.updated({key: value}, name)
     return pipeline.plan(target).grasps
 
 
