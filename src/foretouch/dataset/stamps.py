@@ -8,7 +8,7 @@ import numpy as np
 
 from foretouch.errors import DatasetError, shown
 from foretouch.types import SECOND_NS, AnyArray, Float64, Int64
-from foretouch.types.arrays import is_missing, numbers, plain
+from foretouch.types.arrays import is_missing, numbers, unmasked
 
 _FACTOR: Final = 2.0  # between the rate of the stamps and the rate in the sensor's description
 _GAP: Final = 5.0  # usual steps from a reading to the next
@@ -53,7 +53,7 @@ def read_stamps(name: str, given: Any, rows: Float64, sensor_hz: float) -> Int64
 def _times(name: str, given: Any) -> tuple[AnyArray, int]:
     """Return times as numbers, and the nanoseconds that one of them has."""
     try:
-        times = np.atleast_1d(plain(given))
+        times = np.atleast_1d(unmasked(given))
     except ValueError as err:
         raise DatasetError(f"{name}: {err}") from err
     missing = np.isnat(times) if times.dtype.kind in "mM" else np.isnan(times) if times.dtype.kind == "f" else False

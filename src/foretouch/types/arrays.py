@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Types of arrays, and classes whose fields are columns: arrays with one row for each of K things."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
 from dataclasses import replace as replace_fields
 from functools import cache
@@ -42,22 +43,17 @@ def numbers(value: Any, name: str, fault: type[ForetouchError]) -> Float64:
         ForetouchError: Of the type `fault`, if they are no numbers.
     """
     try:
-        return _as_float64(plain(value))
+        return _as_float64(unmasked(value))
     except OverflowError:
-        why = ": a number is too large"
+        why = "a number is too large"
     except (TypeError, ValueError) as err:
-        text = str(err)
-        why = (
-            ": rows of different lengths"
-            if "inhomogeneous" in text
-            else f": {text}"
-            if text in _NO_NUMBERS.values()
-            else ""
-        )
-    raise fault(f"{name}: {shown(value)} is not of numbers{why}")
+        why = str(err) if str(err) in _NO_NUMBERS.values() else ""
+        if "inhomogeneous" in str(err):
+            why = "rows of different lengths"
+    raise fault(f"{name}: {shown(value)} is not of numbers{why and ': '}{why}")
 
 
-def plain(value: Any) -> AnyArray:
+def unmasked(value: Any) -> AnyArray:
     """Return what NumPy makes an array of as an array, in which what is masked is missing: NaN, NaT or None.
 
     Raises:
@@ -98,10 +94,21 @@ def _as_float64(array: AnyArray) -> Float64:
         raise TypeError(_NO_NUMBERS["U"])
     if not any(isinstance(item, np.ndarray | list | tuple) for item in items):
         return np.array([np.nan if item is None else item for item in items], np.float64).reshape(array.shape)
-    rows = [None if item is None else _as_float64(plain(item)) for item in items]
+    rows = [None if item is None else _as_float64(unmasked(item)) for item in items]
     nothing = np.full(next(row.shape for row in rows if row is not None), np.nan)
     filled = np.array([nothing if row is None else row for row in rows])
     return filled.reshape(*array.shape, *nothing.shape)
+
+
+def plain(value: Any) -> Any:
+    """Return arrays, tuples and mappings as JSON types; numbers that are not finite become None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def objects(rows: Sequence[Any] | AnyArray) -> Objects:
@@ -143,7 +150,7 @@ class Columns:
                 value = self._array(name, dtype, count, row)
                 shape = value.shape
                 fits = bool(shape) and _fits(shape[1:], row)
-            count = max(count, shape[0] if shape else -1)
+            count = shape[0] if count < 0 and shape else count
             if not fits or shape[0] != count:
                 wanted = ", ".join(str(size or "D") for size in (max(count, 0), *row))
                 raise self.fault(f"{name}: shape {shape} is not ({wanted}{'' if row else ','})")
