@@ -68,7 +68,7 @@ def unmasked(value: Any) -> AnyArray:
     if value.dtype.kind in "iub":
         value = value.astype(np.float64)
     if value.dtype.kind not in "fcmM":
-        return np.where(np.ma.getmaskarray(value), None, value.data.astype(object))
+        return np.asarray(np.where(np.ma.getmaskarray(value), None, value.data.astype(object)), object)
     return np.asarray(value.filled(np.array("NaT", value.dtype) if value.dtype.kind in "mM" else np.nan))
 
 
