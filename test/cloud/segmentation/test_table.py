@@ -86,6 +86,13 @@ def test_a_rim_is_seen_through_and_the_floor_below_it_is_the_table(rng: np.rando
     every_case([(3000, 7000), (5000, 4000), (7000, 4000)], check)
 
 
+def test_what_a_second_camera_sees_below_a_table_does_not_speak_against_it(rng: np.random.Generator) -> None:
+    points = np.concatenate([_level(rng, 0.8, 0.7, 6000), _level(rng, 0.7, 0.95, 2000)]).astype(np.float32)
+    assert abs(find_table(points, PlaneConfig())[0].offset - 0.95) < 0.003
+    table, _, reason = find_table(points, PlaneConfig(), one_view=False)
+    assert (abs(table.offset - 0.7) < 0.003, reason) == (True, "")
+
+
 def test_the_top_of_a_box_that_fills_the_image_is_no_table(rng: np.random.Generator) -> None:
     table, top, clutter = _level(rng, 1.2, 1.0, 20_000), _level(rng, 0.4, 0.7, 4000), _level(rng, 1.2, 0.9, 4000)
     table = table[np.abs(table[:, :2]).max(axis=1) > 0.23 / 0.7][:3500]  # the box hides the rest

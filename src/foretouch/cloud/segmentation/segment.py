@@ -167,7 +167,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
             fault = view_fault(counts["off_ray"], usable)
         if fault:
             return "bad_cloud", fault, None, *nothing, labels
-        plane, noise_per_m, reason = find_table(sample[finite_rows(sample)], config.plane)
+        plane, noise_per_m, reason = find_table(sample[finite_rows(sample)], config.plane, one_view=image)
     if plane is None:
         return "no_plane", reason, None, *nothing, labels
     if reason:

@@ -41,8 +41,8 @@ _END = 0.02  # of the points of a plane are farther off in a direction: single o
 class _View:
     """How the points of an image (N, 3) lie about a plane."""
 
-    def __init__(self, xyz: Float32, fit: PlaneFit, plane: Plane, threshold_m: float) -> None:
-        self.fit, self.xyz, self.plane, self.threshold_m = fit, xyz, plane, threshold_m
+    def __init__(self, xyz: Float32, fit: PlaneFit, plane: Plane, threshold_m: float, one_view: bool) -> None:
+        self.fit, self.xyz, self.plane, self.threshold_m, self.one_view = fit, xyz, plane, threshold_m, one_view
         self.height = plane.height(xyz)
         self.on, self.below = np.abs(self.height) < threshold_m, self.height < -_BELOW_M
         self.count = int(np.count_nonzero(self.on))
@@ -68,7 +68,9 @@ class _View:
         """Whether many points below it are within its outline."""
         least = _THROUGH * self.count
         return bool(
-            np.count_nonzero(self.below) > least and np.count_nonzero(self.within(self.xyz[self.below])) > least
+            self.one_view
+            and np.count_nonzero(self.below) > least
+            and np.count_nonzero(self.within(self.xyz[self.below])) > least
         )
 
     @property
@@ -88,12 +90,13 @@ class _View:
         return float(np.mean(rising.sum(axis=1) > _ENCLOSED * beyond.sum(axis=1)))
 
 
-def find_table(xyz: Float32, config: PlaneConfig) -> PlaneFit:
+def find_table(xyz: Float32, config: PlaneConfig, *, one_view: bool = True) -> PlaneFit:
     """Fit the plane that carries the objects, by the rule of `PlaneConfig.table`.
 
     Args:
         xyz: (N, 3) float32 [m], finite, camera optical frame.
         config: The rule and thresholds; the same input gives bit-equal results.
+        one_view: All points are seen from the origin, so that what is below a table within its outline was seen through it.
 
     Returns:
         The fit, or the reason why there is none (see `fit_plane`). With a plane, a reason says why to doubt it.
@@ -105,10 +108,10 @@ def find_table(xyz: Float32, config: PlaneConfig) -> PlaneFit:
         return first
     if config.table != "largest":
         return _chosen(xyz, first, config)
-    table = _carrying(xyz, first, config)
+    table = _carrying(xyz, first, config, one_view)
     for share in _THINNER if table[2] else ():
         thinner = replace(config, threshold_m=max(share * config.threshold_m, 0.001))
-        again = _carrying(xyz, fit_plane(xyz, thinner), thinner)
+        again = _carrying(xyz, fit_plane(xyz, thinner), thinner, one_view)
         if again[0] is not None and not again[2]:
             return again
     return table
@@ -135,14 +138,14 @@ def _chosen(xyz: Float32, first: PlaneFit, config: PlaneConfig) -> PlaneFit:
     return fits[int(np.argmin(apart))]
 
 
-def _carrying(xyz: Float32, first: PlaneFit, config: PlaneConfig) -> PlaneFit:
+def _carrying(xyz: Float32, first: PlaneFit, config: PlaneConfig, one_view: bool) -> PlaneFit:
     """Return the plane with most points that may be a table, with a reason where it is doubted; the first may be none."""
-    view = _view(xyz, first, config)
+    view = _view(xyz, first, config, one_view)
     if view is None:
         return first
     not_solid = view.is_seen_through
     if not_solid or view.is_bare_top or (view.share < _DOMINANT and _WALLED <= view.enclosed < 1.0):
-        others = [_view(xyz, fit, config) for fit in _others(xyz, first, config, config.min_fraction / 2.0)]
+        others = [_view(xyz, fit, config, one_view) for fit in _others(xyz, first, config, config.min_fraction / 2.0)]
         tables = [
             other for other in others if other is not None and not other.is_seen_through and not other.is_bare_top
         ]
@@ -185,16 +188,16 @@ def _wide_above(xyz: Float32, low: _View, config: PlaneConfig) -> _View:
     high = xyz[low.height > _ABOVE_M]
     if len(high) < config.min_fraction * len(xyz):
         return low
-    view = _view(xyz, fit_plane(high, config), config)
+    view = _view(xyz, fit_plane(high, config), config, low.one_view)
     if view is None or view.plane.normal @ low.plane.normal < _PARALLEL or view.share < config.min_fraction:
         return low
     wide = np.linalg.eigvalsh(np.cov(xyz[view.on].T))[2] > _WIDE_M**2
     return view if wide and not view.is_seen_through else low
 
 
-def _view(xyz: Float32, fit: PlaneFit, config: PlaneConfig) -> _View | None:
+def _view(xyz: Float32, fit: PlaneFit, config: PlaneConfig, one_view: bool) -> _View | None:
     """Return how points lie about the plane of a fit; None if there is none, or none is on it."""
-    view = None if fit[0] is None else _View(xyz, fit, fit[0], config.threshold_m)
+    view = None if fit[0] is None else _View(xyz, fit, fit[0], config.threshold_m, one_view)
     return view if view is not None and view.count else None
 
 
