@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which plane of a cloud is the table that carries the objects, and whether to doubt it.
+"""Which plane of a cloud is the table that carries the objects, and whether to trust it.
 
 The plane with most points is the table, unless the image speaks against it:
 
@@ -99,7 +99,7 @@ def find_table(xyz: Float32, config: PlaneConfig, *, one_view: bool = True) -> P
         one_view: All points are seen from the origin, so that what is below a table within its outline was seen through it.
 
     Returns:
-        The fit, or the reason why there is none (see `fit_plane`). With a plane, a reason says why to doubt it.
+        The fit, or the reason why there is none (see `fit_plane`). With a plane, a reason says why not to trust it.
     """
     if config.table == "given":
         return _given(xyz, config)
@@ -154,10 +154,10 @@ def _carrying(xyz: Float32, first: PlaneFit, config: PlaneConfig, one_view: bool
             better += [other for other in tables if other.share >= config.min_fraction]
         view = next(iter(better), view)
     view = _wide_above(xyz, view, config)
-    return view.fit[0], view.fit[1], _doubt(view, config)
+    return view.fit[0], view.fit[1], _why_doubtful(view, config)
 
 
-def _doubt(view: _View, config: PlaneConfig) -> str:
+def _why_doubtful(view: _View, config: PlaneConfig) -> str:
     """Return why not to trust a plane, and what to set; "" for a table."""
     cure = "set segmentation.plane.table to point, with plane.point on the table, or to given, with plane.coefficients"
     if view.is_seen_through:
