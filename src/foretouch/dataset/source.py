@@ -12,8 +12,9 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
-from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, PAIRING, DepthCamera, Pairs
+from foretouch.cloud.io.depth_files import PAIRING, DepthCamera, Pairs
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
+from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
 from foretouch.dataset.formats import is_sample_set, open_samples, readable_formats
 from foretouch.errors import FileError

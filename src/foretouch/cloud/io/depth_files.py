@@ -16,13 +16,13 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
+from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.cloud.io.mask_files import MASK_SUFFIXES
 from foretouch.errors import CloudError, FileError, described, none_of
 from foretouch.files import read_bytes, require_existing
 from foretouch.types import AnyArray, CameraModel, Cloud
 from foretouch.types.camera import check_image
 
-IMAGE_SUFFIXES: Final = (".png", ".tif", ".tiff")
 _INFO_SUFFIXES: Final = (".yaml", ".yml", ".json", ".mat", ".txt")
 PAIRING: Final = (
     "a folder pairs NAME-depth.png (or .tif, .npy; _ for -) with NAME-mask, NAME-label or NAME-seg (.png, .npy), and with NAME-info, "

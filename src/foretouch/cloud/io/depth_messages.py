@@ -7,13 +7,13 @@
 - `sensor_msgs/CameraInfo`, and which of them belongs to an image (`CameraInfos`).
 """
 
-import io
 import struct
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
+from foretouch.cloud.io.images import check_size, decode_image
 from foretouch.errors import CalibrationError, CloudError, shown
 from foretouch.kernels import Kernel
 from foretouch.types import AnyArray, Cloud, Float32, UInt8, stamp_ns
@@ -24,8 +24,7 @@ _decode_rvl = Kernel("decode_rvl")
 ENCODINGS: Final = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 """Encodings of depth images, with the type of a pixel."""
 
-_LARGEST: Final = 4096 * 4096  # pixels of an image
-_PNG: Final = b"\x89PNG\r\n\x1a\n"
+_PNG: Final = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 _HEADER: Final = 12  # bytes before the data of a compressed image
 _MOST: Final = 32  # frames and sizes that are remembered
 _PATIENCE_S: Final = 3.0  # without a camera info until that is an error, and between infos of two publishers
@@ -61,7 +60,7 @@ def image_pixels(message: Any, pixel: str) -> AnyArray:
     height = message.height
     width = message.width
     step = message.step
-    _check_size(height, width)
+    check_size(height, width)
     if step < width * kind.itemsize:
         raise CloudError(f"step: {step} bytes is less than a row of {width} x {kind.itemsize}")
     data = _bytes(message.data)
@@ -93,28 +92,28 @@ def _compressed(message: Any) -> AnyArray:
 
 
 def _from_png(data: UInt8) -> AnyArray:
-    """Return a greyscale PNG of 16 bits; its size is checked before anything is decoded."""
+    """Return a greyscale PNG of 16 bits; the header that the decoder goes by decides about its size, before anything is unpacked."""
     head = data[:26].tobytes()
     if len(head) < 26 or not head.startswith(_PNG):
-        raise CloudError("data: is no PNG")
+        raise CloudError("data: is no PNG that begins with its header")
     width, height, bits, colour = struct.unpack_from(">2I2B", head, 16)
-    _check_size(height, width)
+    check_size(height, width)
     if (bits, colour) != (16, 0):
         raise CloudError(f"data: a PNG of {bits} bits and colour type {colour} is not one of 16 bits in grey")
-    from PIL import Image, UnidentifiedImageError
-
     try:
-        with Image.open(io.BytesIO(data.tobytes()), formats=["PNG"]) as image:
-            return np.asarray(image).astype(np.uint16, copy=False)
-    except (OSError, SyntaxError, ValueError, EOFError, UnidentifiedImageError) as err:
-        raise CloudError(f"data: the PNG is truncated or damaged: {err}") from err
+        numbers = decode_image(data.tobytes())
+    except CloudError as err:
+        raise CloudError(f"data: the PNG {err}") from err
+    if numbers.shape != (height, width):
+        raise CloudError(f"data: the PNG is damaged: its pixels are {numbers.shape}, its header says {width}x{height}")
+    return numbers.astype(np.uint16, copy=False)
 
 
 def _from_rvl(data: UInt8) -> AnyArray:
     if data.size < 8 or data.size % 4:
         raise CloudError(f"data: the RVL is truncated: {data.size} bytes are not whole words")
     width, height = struct.unpack("<2I", data[:8].tobytes())
-    _check_size(height, width)
+    check_size(height, width)
     depth, decoded = np.empty((height, width), np.uint16), np.empty(1, np.int64)
     _decode_rvl(data[8:], data.size // 4 - 2, depth.size, depth, decoded)
     if decoded[0] != depth.size:
@@ -126,11 +125,6 @@ def _pixel(encoding: str) -> str:
     if encoding not in ENCODINGS:
         raise CloudError(f"encoding: {shown(encoding)!r} is no depth image: {', '.join(ENCODINGS)} are")
     return ENCODINGS[encoding]
-
-
-def _check_size(height: int, width: int) -> None:
-    if not (height > 0 and width > 0 and height * width <= _LARGEST):
-        raise CloudError(f"size: {width}x{height} is not between one pixel and {_LARGEST}")
 
 
 def _bytes(data: Any) -> UInt8:
