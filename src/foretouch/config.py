@@ -44,6 +44,7 @@ _UNITS: Final = {
     "kelvin": "K",
     **{unit: unit for unit in ("s", "ms", "ns", "m", "mm", "deg", "counts", "days", "kg")},
 }  # by the last word of a name
+_OPENCV_HEAD: Final = re.compile(r"\A%YAML:1\.\d[ \t]*\r?\n")  # which OpenCV writes, and which is no directive of YAML
 _DECIMAL: Final = r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"
 
 
@@ -73,6 +74,9 @@ class _Dumper(yaml.SafeDumper):
 
 
 _Loader.add_constructor("!empty", lambda *_: EMPTY)
+_Loader.add_constructor(
+    "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
+)
 _Loader.add_constructor(_INT, lambda loader, node: int(loader.construct_scalar(node)))
 for _kind in (_Loader, _Dumper):
     _kind.add_implicit_resolver(_INT, re.compile(r"[-+]?\d+$"), list("-+0123456789"))
@@ -196,10 +200,19 @@ def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
     return infos
 
 
-def load_yaml(path: str | Path, limit: int = _YAML_BYTES) -> dict[str, Any]:
-    """Load one YAML mapping safely; a `ConfigError` if the file cannot be read, is too large or is not a mapping."""
+def load_yaml(path: str | Path, limit: int = _YAML_BYTES, *, first: bool = False) -> dict[str, Any]:
+    """Load a YAML mapping safely.
+
+    Args:
+        path: The file.
+        limit: Its largest size [bytes].
+        first: Whether to take the first of several documents, as `ros2 topic echo` prints them; others are refused.
+
+    Raises:
+        ConfigError: If the file cannot be read, is too large or is not a mapping.
+    """
     try:
-        document = _parse_yaml(read_bytes(path, limit).decode("utf-8"))
+        document = _parse_yaml(read_bytes(path, limit).decode("utf-8"), first=first)
     except FileError as err:
         raise ConfigError(str(err)) from err
     except ValueError as err:
@@ -209,8 +222,9 @@ def load_yaml(path: str | Path, limit: int = _YAML_BYTES) -> dict[str, Any]:
     return document or {}
 
 
-def _parse_yaml(text: str) -> Any:
+def _parse_yaml(text: str, *, first: bool = False) -> Any:
     """Return the document in a YAML text, loaded safely; a ValueError if it is not YAML, nests too deep, or aliases repeat too much."""
+    text = _OPENCV_HEAD.sub("", text)
     level = repeated = aliases = 0  # `repeated` is the level of the outermost open group with an anchor
     try:
         for event in yaml.parse(text, Loader=_Loader):
@@ -225,6 +239,8 @@ def _parse_yaml(text: str) -> Any:
                 raise yaml.YAMLError(f"more than {_YAML_DEPTH} nested levels")
             if isinstance(event, yaml.AliasEvent) and (repeated or aliases > _MOST_ALIASES):
                 raise yaml.YAMLError(f"alias {shown(event.anchor)}: one within another, or more than {_MOST_ALIASES}")
+        if first:
+            return next(yaml.load_all(text, Loader=_Loader), None)
         return yaml.load(text, Loader=_Loader)  # noqa: S506 - a safe loader, in C where it is installed
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as err:
         raise ValueError(str(err) or type(err).__name__) from err  # constructors of numbers and dates raise them

@@ -7,6 +7,7 @@
 - `sensor_msgs/CameraInfo`, and which of them belongs to an image (`CameraInfos`).
 """
 
+import re
 import struct
 from dataclasses import dataclass
 from typing import Any, Final
@@ -26,6 +27,8 @@ ENCODINGS: Final = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
 _PNG: Final = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 _HEADER: Final = 12  # bytes before the data of a compressed image
+_UNDONE: Final = (*MODELS, "brown_conrady", "radtan")  # names of RealSense and Kalibr for `plumb_bob`
+_FISHEYES: Final = ("equidistant", "equi", "fisheye", "kannala_brandt4")
 _MOST: Final = 32  # frames and sizes that are remembered
 _PATIENCE_S: Final = 3.0  # without a camera info until that is an error, and between infos of two publishers
 
@@ -184,7 +187,8 @@ def _either(info: Any, name: str) -> Any:
 
 def _check_model(model: str, coefficients: AnyArray) -> None:
     """Refuse a distortion that is not OpenCV's; of a model without coefficients only a fisheye bends the rays."""
-    if model in MODELS or (not coefficients.any() and model not in {"equidistant", "fisheye"}):
+    name = re.sub(r"[ -]", "_", model.rpartition(".")[2].lower())
+    if name in _UNDONE or (not coefficients.any() and name not in _FISHEYES):
         return
     raise CloudError(
         f"camera_info: distortion_model {shown(model)!r} cannot be undone, only {' and '.join(MODELS)}: "
@@ -209,11 +213,23 @@ class CameraInfos:
 
     Args:
         topic: Where the images come from; it names them in messages, and says whether they are rectified.
+        infos: Topic of the infos; by default `camera_info` beside.
+        rectified: Whether the images are rectified, whatever the name of their topic.
+        scale: Metres per unit of the images; by default that of their encoding.
     """
 
-    def __init__(self, topic: str = "depth/image") -> None:
+    def __init__(
+        self,
+        topic: str = "depth/image",
+        infos: str | None = None,
+        *,
+        rectified: bool | None = None,
+        scale: float | None = None,
+    ) -> None:
         self.topic = topic
-        self._rectified = is_rectified(topic)
+        self._infos = infos or info_topic(topic)
+        self._rectified = is_rectified(topic) if rectified is None else rectified
+        self._scale = scale
         self._known: dict[tuple[str, int, int], _Known] = {}
         self._missing_s: float | None = None  # of the first image without an info
 
@@ -245,7 +261,7 @@ class CameraInfos:
         if known.before == camera and now_s - known.before_s < _PATIENCE_S:
             was_told, new.alternates_s = _alternates(known, now_s), now_s
             return "" if was_told else self._two(place)
-        return f"{info_topic(self.topic)}: the camera of {_named(place)} changed to {camera}"
+        return f"{self._infos}: the camera of {_named(place)} changed to {camera}"
 
     def cloud(self, message: Any, now_s: float) -> Cloud:
         """Make the cloud of a depth message, raw or compressed, with the frame and stamp of its header.
@@ -260,7 +276,7 @@ class CameraInfos:
         """
         depth, frame_id = decode_depth(message), message.header.frame_id
         camera = self.camera(frame_id, (depth.shape[0], depth.shape[1]), now_s)
-        return Cloud.from_depth(depth, camera, frame_id=frame_id, stamp_ns=stamp_ns(message.header.stamp))
+        return Cloud.from_depth(depth, camera, self._scale, frame_id=frame_id, stamp_ns=stamp_ns(message.header.stamp))
 
     def camera(self, frame_id: str, shape: tuple[int, int], now_s: float) -> CameraModel:
         """Find the camera of an image.
@@ -288,7 +304,7 @@ class CameraInfos:
     def _missing(self, place: tuple[str, int, int], now_s: float) -> CalibrationError:
         if self._missing_s is None:
             self._missing_s = now_s
-        info, image = info_topic(self.topic), f"an image of {_named(place)}"
+        info, image = self._infos, f"an image of {_named(place)}"
         for reason, same in (("other_size", slice(0, 1)), ("other_frame", slice(1, 3))):
             others = [_named(other) for other in self._known if other[same] == place[same]]
             if others:
@@ -299,9 +315,7 @@ class CameraInfos:
         return CalibrationError(f"{info}: {waited}, for {image}{there}", reason)
 
     def _two(self, place: tuple[str, int, int]) -> str:
-        return (
-            f"{info_topic(self.topic)}: two different infos of {_named(place)} alternate: does it have two publishers?"
-        )
+        return f"{self._infos}: two different infos of {_named(place)} alternate: does it have two publishers?"
 
 
 def _alternates(known: _Known, now_s: float) -> bool:
