@@ -22,13 +22,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, info_topic
+from foretouch.cloud.io.depth_files import DepthCamera
+from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, decode_depth, info_topic
 from foretouch.cloud.messages import decode_cloud
 from foretouch.config import load_yaml
 from foretouch.dataset.mcap_reader import Damage, McapReader
-from foretouch.errors import CloudError, FileError, ForetouchError
+from foretouch.errors import CloudError, FileError, ForetouchError, none_of
 from foretouch.files import open_regular, require_existing
-from foretouch.types import Cloud
+from foretouch.types import Cloud, stamp_ns
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection, MessageDefinition
@@ -46,6 +47,7 @@ _PACKED: Final = ".zstd"  # at the end of the names of files that were compresse
 _PACKED_SUFFIXES: Final = (".mcap.zstd", ".db3.zstd")
 _METADATA: Final = "metadata.yaml"
 _ZSTD: Final = bytes.fromhex("28b52ffd")  # with which no CDR begins
+_VIEWER: Final = re.compile(r"(/device_\d+/sensor_\d+)/(\w+)/image/data")  # images in recordings of librealsense
 _TAXELS = "/foretouch/taxels/"  # clouds that are no camera's, in recordings of foretouch 0.3 and older
 
 
@@ -78,6 +80,7 @@ class Recording:
 
     Args:
         path: A rosbag2 directory, a directory of `.mcap` or `.db3` files, such a file, or a ROS 1 `.bag`.
+        camera: What is known of the camera of its depth images; it goes before what is recorded.
 
     Attributes:
         topics: What it holds; of an MCAP file without an index, as far as it is intact.
@@ -87,8 +90,10 @@ class Recording:
         FileError: If the path is not a recording, or is truncated or damaged. An MCAP file is read as far as it is intact.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, camera: DepthCamera | None = None) -> None:
         self.path = Path(path)
+        self._camera = camera or DepthCamera()
+        self._info_topics: dict[str, str] = {}
         files = _storage_files(self.path)
         with ExitStack() as stack:
             self._readers = [_opened(file, stack) for file in files]
@@ -134,9 +139,13 @@ class Recording:
                 rule = f"no messages of {POINT_CLOUD_TYPE}, nor depth images ({', '.join(ENCODINGS)}, compressedDepth)"
             raise FileError(self.path, f"{rule}: {_listed(qualified or self.topics)}", field=topic)
         name = qualified[0].name
-        if qualified[0].type != POINT_CLOUD_TYPE and not self.info_topic(name):
-            rule = f"depth images need their camera info, and {info_topic(name)} is absent: record it too"
-            raise FileError(self.path, rule, field=name)
+        if qualified[0].type == POINT_CLOUD_TYPE:
+            self._camera.require_none(self.path, f"{name} holds clouds of points")
+        elif not self._camera.is_known and not self.info_topic(name):
+            rule = f"depth images need their camera info, and {info_topic(name)} is absent: record it too, or give"
+            others = ", ".join(self._infos()) or "none"
+            cure = f"{rule} --info-topic (there are: {others}), --camera-info or --intrinsics"
+            raise FileError(self.path, cure, field=name)
         return name
 
     def _is_depth(self, topic: Topic) -> bool:
@@ -150,18 +159,71 @@ class Recording:
             return False
 
     def info_topic(self, topic: str) -> str:
-        """Find the topic of the camera infos of depth images; "" for clouds, or where it is absent."""
-        types = {recorded.name: recorded.type for recorded in self.topics if recorded.count}
-        beside = info_topic(topic)
-        return (
-            beside
-            if types.get(topic) in {_IMAGE_TYPE, _COMPRESSED_TYPE} and types.get(beside) == _CAMERA_INFO_TYPE
-            else ""
-        )
+        """Find the topic of the camera infos of depth images.
+
+        It is the given one, `camera_info` beside the images, librealsense's name, or the only one whose first info is of the
+        frame and size of the first image; "" for clouds, or where there is none.
+
+        Raises:
+            FileError: If the given one is absent, or holds other messages or none.
+        """
+        if topic not in self._info_topics:
+            self._info_topics[topic] = self._find_info(topic)
+        return self._info_topics[topic]
+
+    def kind_of(self, topic: str) -> str:
+        """Return the type of the messages of a topic; "" where there are none."""
+        return next((recorded.type for recorded in self.topics if recorded.name == topic and recorded.count), "")
+
+    def _infos(self) -> list[str]:
+        return [recorded.name for recorded in self.topics if recorded.count and recorded.type == _CAMERA_INFO_TYPE]
+
+    def _find_info(self, topic: str) -> str:
+        images, infos = (_IMAGE_TYPE, _COMPRESSED_TYPE), self._infos()
+        if self.kind_of(topic) not in images:
+            return ""
+        given = self._camera.info_topic
+        if given and given not in infos:
+            raise FileError(self.path, f"--info-topic {none_of(given, infos)}", field=topic)
+        named = [given] if given else [info_topic(topic), _VIEWER.sub(r"\1/\2/info/camera_info", topic)]
+        found = next((name for name in named if name in infos), None)
+        if found is not None:
+            return found
+        fitting = [name for name in infos if self._fits(topic, name)]
+        return fitting[0] if len(fitting) == 1 else ""
+
+    def _fits(self, topic: str, info: str) -> bool:
+        """Return whether the first camera info of a topic is of the frame and size of the first depth image of another."""
+        try:
+            image = next(self.messages([topic]))
+            infos = CameraInfos(topic)
+            infos.add(self.content(next(self.messages([info]))), 0.0)
+            content = self.content(image)
+            depth = decode_depth(content)
+            infos.camera(content.header.frame_id, (depth.shape[0], depth.shape[1]), 0.0)
+        except (CloudError, FileError, StopIteration):
+            return False
+        return True
+
+    def _unit(self, topic: str) -> float | None:
+        """Return the metres per unit that librealsense records beside its depth images; None in other recordings."""
+        viewer = _VIEWER.fullmatch(topic)
+        unit = f"{viewer[1]}/option/Depth Units/value" if viewer else ""
+        if not self.kind_of(unit):
+            return None
+        return float(self.content(next(self.messages([unit]))).data)
+
+    def is_converted(self, topic: str) -> bool:
+        """Return whether nodes would read the depth images of a topic otherwise: with `camera_info` beside them, in the unit of their encoding."""
+        if self.kind_of(topic) == POINT_CLOUD_TYPE:
+            return False
+        return bool(self._camera.stated) or self.info_topic(topic) != info_topic(topic) or self._unit(topic) is not None
 
     def first_info(self, topic: str) -> CameraInfos:
         """Read the first camera info of a topic of depth images, which is for the images before it; clouds have no camera info."""
-        infos, beside = CameraInfos(topic), self.info_topic(topic)
+        beside = "" if self._camera.is_known else self.info_topic(topic)
+        scale = self._camera.scale if self._camera.scale is not None else self._unit(topic)
+        infos = CameraInfos(topic, beside, rectified=self._camera.rectified, scale=scale)
         for message in islice(self.messages([beside]), 1) if beside else ():
             infos.add(self.content(message), message.bag_time_ns * 1e-9)
         return infos
@@ -172,7 +234,8 @@ class Recording:
         A depth image has the camera of the last info before it, the first ones the camera of the first info. What decodes a
         message raises a `FileError` if it is damaged or has no camera; the iteration as `messages`.
         """
-        beside, infos = self.info_topic(topic), self.first_info(topic)
+        infos = self.first_info(topic)
+        beside = "" if self._camera.is_known else self.info_topic(topic)
         for message in self.messages({topic, beside}):
             if message.topic == topic:
                 yield message, partial(self.decode_cloud, message, infos)
@@ -225,7 +288,13 @@ class Recording:
         try:
             if infos is None or message.type == POINT_CLOUD_TYPE:
                 return decode_cloud(content)
-            return infos.cloud(content, message.bag_time_ns * 1e-9)
+            if not self._camera.is_known:
+                return infos.cloud(content, message.bag_time_ns * 1e-9)
+            depth = decode_depth(content)
+            model, scale = self._camera.recorded((depth.shape[0], depth.shape[1]), message.topic)
+            scale = self._unit(message.topic) if scale is None else scale
+            stamped = {"frame_id": content.header.frame_id, "stamp_ns": stamp_ns(content.header.stamp)}
+            return Cloud.from_depth(depth, model, scale, **stamped)
         except CloudError as err:
             raise FileError(self.path, str(err), field=_position(message)) from err
 

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -62,6 +63,16 @@ class DepthCamera:
     info: Path | None = None  # a file with the camera
     scale: float | None = None  # metres per unit
     rectified: bool | None = None  # whether the images are rectified; by default by their names
+    info_topic: str = ""  # of the camera infos in a recording
+
+    def __post_init__(self) -> None:
+        twice = [name for name in self.stated if name in ("--intrinsics", "--camera-info", "--info-topic")]
+        if len(twice) > 1:
+            raise ConfigError(f"{', '.join(twice)}: state the camera twice; give one of them")
+        if self.intrinsics and self.rectified is not None:
+            raise ConfigError(
+                "--intrinsics, --rectified: intrinsics are those of the images, rectified or not; leave one out"
+            )
 
     @property
     def stated(self) -> tuple[str, ...]:
@@ -71,6 +82,7 @@ class DepthCamera:
             "--camera-info": self.info is not None,
             "--depth-scale": self.scale is not None,
             "--rectified": self.rectified is not None,
+            "--info-topic": bool(self.info_topic),
         }
         return tuple(name for name, is_given in given.items() if is_given)
 
@@ -108,6 +120,12 @@ class DepthCamera:
             raise FileError(path, f"no pixel of {depth.size} has a depth", field="depth")
         return cloud
 
+    def require_none(self, path: Path, what: str) -> None:
+        """Refuse a source that has no use for what is stated, by a `FileError` that says `what` it is."""
+        if self.stated:
+            raise FileError(path, f"{what}: leave out {', '.join(self.stated)}, which is for depth images")
+
+    @lru_cache(maxsize=8)  # noqa: B019  of a few recordings
     def recorded(self, shape: tuple[int, int], topic: str) -> tuple[CameraModel, float | None]:
         """Return the camera of the images of a recording, and their metres per unit where these are stated.
 
@@ -184,6 +202,8 @@ def _row_major(matrix: AnyArray) -> AnyArray:
 def _as_info(stated: Mapping[str, Any], shape: tuple[int, int]) -> Any:
     """Return the fields of a `sensor_msgs/CameraInfo` that a file states, of images of a shape."""
     roi = stated.get("roi") or {}
+    if not isinstance(roi, dict):
+        raise CloudError(f"roi: {shown(roi, 60)} is not a mapping of x_offset, y_offset, width and height")
     region = {name: _whole(roi.get(name), f"roi.{name}") for name in ("x_offset", "y_offset", "width", "height")}
     bins = {name: _whole(stated.get(name), name) for name in ("binning_x", "binning_y")}
     width = _whole(stated.get("width"), "width") or shape[1] * max(1, bins["binning_x"])

@@ -50,9 +50,7 @@ def read_cloud(path: str | Path, camera: DepthCamera | None = None) -> Cloud:
         raise FileError(path, f"the extension is not one of {', '.join((*CLOUD_SUFFIXES, *IMAGE_SUFFIXES))}")
     try:
         with system_errors(path):
-            cloud = (
-                _READERS[suffix](path) if suffix in _READERS else _read_numbers(path, suffix, camera or DepthCamera())
-            )
+            cloud = _read(path, suffix, camera or DepthCamera())
     except CloudError as err:
         raise FileError(path, str(err)) from err
     x, y, z = np.moveaxis(cloud.xyz, -1, 0)
@@ -81,20 +79,26 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
     replace_files({path: content(cloud)})
 
 
-def _read_numbers(path: Path, suffix: str, camera: DepthCamera) -> Cloud:
-    """Return the cloud in an image or a file of NumPy, whose points are x, y, z or the depth of pixels."""
+def _read(path: Path, suffix: str, camera: DepthCamera) -> Cloud:
+    """Return the cloud in a file, of points or of a depth image; a `FileError` if a camera is given for points."""
     if suffix in IMAGE_SUFFIXES:
         return camera.cloud(path, read_image(path, "depth"))
+    if suffix == ".npz":
+        arrays: dict[str, Any] = read_arrays(path, (), ("xyz", *_OPTIONAL, *_PER_METRE, *_DEPTH_FACTS))
+        name = next((name for name in _PER_METRE if name in arrays), None)
+        if name is not None and "xyz" not in arrays:
+            if (per_metre := _PER_METRE[name]) is not None:
+                arrays.setdefault("factor_depth", per_metre)
+            return camera.cloud(path, arrays[name], arrays)
     if suffix == ".npy":
         array = read_array(path)
-        depth = array.ndim in (2, 3) and array.shape[1] > _POINT_WIDTH and array.shape[-1] != 3  # else a list of points
-        return camera.cloud(path, array) if depth else Cloud(_coordinates(path, array))
-    arrays: dict[str, Any] = read_arrays(path, (), ("xyz", *_OPTIONAL, *_PER_METRE, *_DEPTH_FACTS))
-    name = next((name for name in _PER_METRE if name in arrays), None)
-    if name is not None and "xyz" not in arrays:
-        if (per_metre := _PER_METRE[name]) is not None:
-            arrays.setdefault("factor_depth", per_metre)
-        return camera.cloud(path, arrays[name], arrays)
+        if array.ndim in (2, 3) and array.shape[1] > _POINT_WIDTH and array.shape[-1] != 3:  # else a list of points
+            return camera.cloud(path, array)
+    camera.require_none(path, "holds points")
+    if suffix in _READERS:
+        return _READERS[suffix](path)
+    if suffix == ".npy":
+        return Cloud(_coordinates(path, array))
     return archived_cloud(path, read_arrays(path, ["xyz"], _OPTIONAL))
 
 
