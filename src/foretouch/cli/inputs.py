@@ -15,7 +15,7 @@ from foretouch.cloud.io.depth_files import PAIRING, DepthCamera
 from foretouch.cloud.io.mask_files import read_mask
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.source import SourceItem, open_source
-from foretouch.errors import CloudError, ConfigError, ForetouchError
+from foretouch.errors import CloudError, ConfigError, ForetouchError, shown
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Cloud, Grasps, Plane, Predictions, assumed_table
@@ -366,4 +366,5 @@ def _results(
 
 def error_line(name: str, err: ForetouchError) -> str:
     """Return the message of an error, with the name of the input where it lacks it."""
-    return str(err) if name in str(err) else f"{name}: {err}"
+    text = str(err)
+    return text if name in text or shown(name) in text else f"{shown(name)}: {text}"

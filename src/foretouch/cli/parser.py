@@ -19,6 +19,8 @@ _GROUPS: Final = {
 }
 """Names of options by the heading under which help lists them."""
 
+_NARROWEST: Final = 20  # columns of help, however narrow the terminal says that it is
+
 STATUSES: Final = (
     "0 done; 1 a known failure, in one line that names what and why; 2 wrong usage; 128 + n ended by signal n"
 )
@@ -84,8 +86,8 @@ class CommandParser(argparse.ArgumentParser):
         self._choice: Any = None
         self.headings = {title: self.add_argument_group(title) for title in _GROUPS}
         name = self.prog.partition(" ")[2]
-        width = shutil.get_terminal_size().columns - 2
-        statuses = textwrap.wrap(STATUSES + _MORE_STATUSES.get(name, ""), width - 2)
+        width = max(shutil.get_terminal_size().columns - 4, _NARROWEST)
+        statuses = textwrap.wrap(STATUSES + _MORE_STATUSES.get(name, ""), width)
         self.epilog = "\n".join(
             ["example:", f"  {EXAMPLES[name]}", "", "exit status:", *(f"  {line}" for line in statuses)]
         )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
@@ -19,14 +19,13 @@ from heapq import merge
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, decode_depth, info_topic
 from foretouch.cloud.messages import decode_cloud
 from foretouch.config import load_yaml
-from foretouch.dataset.mcap_reader import Damage, McapReader
+from foretouch.dataset.bag_files import PACKED, McapFile, known_failures, open_storage, plain
 from foretouch.errors import CloudError, FileError, ForetouchError, none_of
 from foretouch.files import open_regular, require_existing
 from foretouch.types import Cloud, stamp_ns
@@ -43,10 +42,8 @@ _COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
 _CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _HEADER_TYPE = "std_msgs/msg/Header"
 RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
-_PACKED: Final = ".zstd"  # at the end of the names of files that were compressed as a whole
-_PACKED_SUFFIXES: Final = (".mcap.zstd", ".db3.zstd")
+_PACKED_SUFFIXES: Final = (f".mcap{PACKED}", f".db3{PACKED}")
 _METADATA: Final = "metadata.yaml"
-_ZSTD: Final = bytes.fromhex("28b52ffd")  # with which no CDR begins
 _VIEWER: Final = re.compile(r"(/device_\d+/sensor_\d+)/(\w+)/image/data")  # images in recordings of librealsense
 _TAXELS = "/foretouch/taxels/"  # clouds that are no camera's, in recordings of foretouch 0.3 and older
 
@@ -96,8 +93,8 @@ class Recording:
         self._info_topics: dict[str, str] = {}
         files = _storage_files(self.path)
         with ExitStack() as stack:
-            self._readers = [_opened(file, stack) for file in files]
-            with _known_failures(self.path):
+            self._readers = [open_storage(file, stack) for file in files]
+            with known_failures(self.path):
                 self._connections = [connection for reader in self._readers for connection in reader.connections]
                 self.topics: tuple[Topic, ...] = tuple(self._topics())
             if not self.topics:
@@ -253,16 +250,16 @@ class Recording:
         runs = []
         for reader in self._readers:
             wanted = [channel for channel in reader.connections if topics is None or channel.topic in topics]
-            if wanted or isinstance(reader, _McapFile):  # whose damage is found in any case
+            if wanted or isinstance(reader, McapFile):  # whose damage is found in any case
                 runs.append(reader.messages(wanted))
-        with _known_failures(self.path):
+        with known_failures(self.path):
             for connection, time_ns, raw in merge(*runs, key=itemgetter(1)):
                 topic, definition = connection.topic, _definition(connection)
                 _, kind, ros1 = definition
-                data = bytes(_typestore(*definition).ros1_to_cdr(raw, kind)) if ros1 else _plain(raw)
+                data = bytes(_typestore(*definition).ros1_to_cdr(raw, kind)) if ros1 else plain(raw, self.path)
                 yield Message(topic, kind, counts[topic], time_ns, data, definition)
                 counts[topic] += 1
-        faults = [file.fault for file in self._readers if isinstance(file, _McapFile) and file.fault]
+        faults = [file.fault for file in self._readers if isinstance(file, McapFile) and file.fault]
         if faults:
             rule = faults[0].rule
             if len(faults) > 1:
@@ -275,7 +272,7 @@ class Recording:
 
     def content(self, message: Message) -> Any:
         """Return the fields of a message, as an object that resembles a ROS message; a `FileError` if it is damaged."""
-        with _known_failures(self.path, _position(message)):
+        with known_failures(self.path, _position(message)):
             try:
                 return _typestore(*message.definition).deserialize_cdr(message.data, message.type)
             except KeyError as err:
@@ -307,87 +304,6 @@ class Recording:
             stamped = bool(fields) and fields[0][1][1] == _HEADER_TYPE
             count, latched = sum(connection.msgcount for connection in connections), any(map(_is_latched, connections))
             yield Topic(name, kind, count, tuple(f[0] for f in fields), stamped, latched)
-
-
-class _McapFile:
-    """An MCAP file behind the interface of the readers of `rosbags`."""
-
-    def __init__(self, path: Path, shown: Path) -> None:
-        from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
-        from rosbags.rosbag2.metadata import parse_qos
-
-        self.fault: FileError | None = None
-        self._shown = shown
-        self._file = McapReader(path)
-        counts = self._file.count_messages()
-        self.connections: list[Connection] = []
-        formats = {"ros2msg": MessageDefinitionFormat.MSG, "ros1msg": MessageDefinitionFormat.MSG}
-        formats |= dict.fromkeys(("ros2idl", "omgidl"), MessageDefinitionFormat.IDL)
-        for number, channel in sorted(self._file.channels.items()):
-            schema = self._file.schemas.get(channel.schema_id)
-            form = formats.get(schema.encoding if schema else "", MessageDefinitionFormat.NONE)
-            text = schema.data.decode("utf-8", "replace") if schema else ""
-            qos: list[Any] = []
-            with suppress(Exception):  # is advice, and others write texts of their own
-                qos = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
-            ext = ConnectionExtRosbag2(channel.message_encoding or "cdr", qos)
-            definition = MessageDefinition(form, text)
-            kind = schema.name if schema else ""
-            self.connections.append(Connection(number, channel.topic, kind, definition, "", counts[number], ext, self))
-
-    def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """Iterate over the messages of some connections with their times [ns], in order; damage then is the `fault`."""
-        by_number = {connection.id: connection for connection in connections}
-        faults: list[Damage] = []
-        for item in self._file.in_time({connection.topic for connection in connections}):
-            if isinstance(item, Damage):
-                faults.append(item)
-            elif item[0].channel in by_number:
-                yield by_number[item[0].channel], item[0].log_time_ns, item[1]
-        if faults:
-            first = faults[0].error(self._shown)
-            cure = f"what is intact was read; `foretouch dataset repair {self._shown}` makes a complete file of it"
-            cure = cure if any(connection.msgcount for connection in self.connections) else "no message can be read"
-            self.fault = FileError(self._shown, f"{first.rule}: {cure}", field=first.field)
-
-
-def _opened(file: Path, stack: ExitStack) -> Any:
-    """Return a reader of one file, with `connections` and `messages`; it is closed with the stack."""
-    from rosbags.rosbag1 import Reader as Ros1Reader
-    from rosbags.rosbag2 import Reader as Ros2Reader
-
-    opened = file
-    if file.suffix == _PACKED:
-        opened = _unpacked(file, Path(stack.enter_context(TemporaryDirectory())))
-    if opened.suffix == ".mcap":
-        return _McapFile(opened, file)
-    journal = opened.with_name(f"{opened.name}-wal")
-    if journal.is_file() and journal.stat().st_size:
-        cure = (
-            f"was not closed, and holds messages in {journal.name}: `sqlite3 {file} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
-        )
-        raise FileError(file, cure)
-    with _known_failures(file):
-        return stack.enter_context(Ros1Reader(opened) if opened.suffix == ".bag" else Ros2Reader(opened))
-
-
-def _unpacked(file: Path, folder: Path) -> Path:
-    """Return a file that was compressed as a whole, unpacked into a folder."""
-    import zstandard
-
-    unpacked = folder / file.stem
-    with _known_failures(file), open_regular(file) as packed, unpacked.open("wb") as out:
-        zstandard.ZstdDecompressor().copy_stream(packed, out)
-    return unpacked
-
-
-def _plain(data: bytes) -> bytes:
-    """Return a message, which may have been compressed by itself."""
-    if not data.startswith(_ZSTD):
-        return data
-    import zstandard
-
-    return bytes(zstandard.ZstdDecompressor().decompressobj().decompress(data))
 
 
 @cache
@@ -483,22 +399,6 @@ def _storage_files(path: Path) -> list[Path]:
 
 def _loose_files(path: Path) -> list[Path]:
     return sorted(p for p in path.iterdir() if p.suffix in {".mcap", ".db3"} or p.name.endswith(_PACKED_SUFFIXES))
-
-
-@contextmanager
-def _known_failures(path: Path, position: str | None = None) -> Iterator[None]:
-    """Turn the parsers' exceptions into one line; damaged bytes make them raise exceptions of any library and of Python."""
-    try:
-        yield
-    except FileError:
-        raise
-    except PermissionError as err:
-        raise FileError(path, err.strerror or "may not be read", field=position) from err
-    except Exception as err:
-        cause = " ".join(str(err).split())
-        if not type(err).__module__.startswith("rosbags"):
-            cause = f"{type(err).__name__}: {cause}" if cause else type(err).__name__
-        raise FileError(path, f"truncated or damaged: {cause}", field=position) from err
 
 
 def _type_of(connection: Connection) -> str:
