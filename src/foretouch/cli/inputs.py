@@ -276,6 +276,8 @@ def target_objects(
         CloudError: If there is no object, or none at --pixel or --point.
     """
     if holds_one_object(item.cloud, arguments):
+        if arguments.target:
+            raise ConfigError("--target: is for the objects of a scene, and this cloud is one object; add --scene")
         target = only_object(item.cloud, arguments)
         return [target], target, ""
     scene = scene_of(item, arguments, pipeline)

@@ -92,16 +92,28 @@ def _check_sqlite(file: Path, shown: Path) -> None:
     with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
         database.set_progress_handler(lambda: next(steps, None) is None, _BETWEEN)
         entries = database.execute("SELECT type, name, tbl_name, sql FROM sqlite_master").fetchall()
-        for kind, name, table, made in entries:
-            if kind not in {"table", "index"} or str(made).lower().startswith("create virtual"):
-                raise FileError(shown, f"is a {kind} that no recorder writes", field=name)
-            scan = "NOT INDEXED" if kind == "table" else f"INDEXED BY {_as_name(name)}"
-            # Not count(*), which is one step, however many rows there are.
-            database.execute(f"SELECT sum(1) FROM {_as_name(table)} {scan}").fetchall()  # noqa: S608  names are quoted
-        if any(name == "messages" for _, name, *_ in entries):
-            (total,) = database.execute("SELECT sum(length(data)) FROM messages NOT INDEXED").fetchone()
-            if (total or 0) > size:
-                raise FileError(shown, f"{total} bytes of messages are more than the {size} of the file")
+        try:
+            _scan(database, entries, size, shown)
+        except sqlite3.OperationalError as err:
+            if next(steps, None) is None:
+                raise FileError(
+                    shown, f"has more rows than its {size} bytes can hold: its pages refer to each other"
+                ) from err
+            raise
+
+
+def _scan(database: sqlite3.Connection, entries: list[tuple[str, str, str, str]], size: int, shown: Path) -> None:
+    """Read all rows of the tables and indexes of a database of some bytes, as `_check_sqlite`."""
+    for kind, name, table, made in entries:
+        if kind not in {"table", "index"} or str(made).lower().startswith("create virtual"):
+            raise FileError(shown, f"is a {kind} that no recorder writes", field=name)
+        scan = "NOT INDEXED" if kind == "table" else f"INDEXED BY {_as_name(name)}"
+        # Not count(*), which is one step, however many rows there are.
+        database.execute(f"SELECT sum(1) FROM {_as_name(table)} {scan}").fetchall()  # noqa: S608  names are quoted
+    if any(name == "messages" for _, name, *_ in entries):
+        (total,) = database.execute("SELECT sum(length(data)) FROM messages NOT INDEXED").fetchone()
+        if (total or 0) > size:
+            raise FileError(shown, f"{total} bytes of messages are more than the {size} of the file")
 
 
 def _as_name(text: str) -> str:
