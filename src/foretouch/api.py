@@ -91,12 +91,13 @@ def open(path: str | Path) -> SampleSet:  # noqa: A001
         path: The dataset.
 
     Returns:
-        Its samples, read on demand: iteration gives `Sample`, `to_arrays()` columns, `split(…)` parts.
+        Its samples, read on demand: iteration gives `Sample`, `to_arrays()` columns, `split(…)` parts. They are those of now, read
+        by absolute paths; threads, forked and spawned processes read them too.
 
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
     """
-    return open_samples(path)
+    return open_samples(Path(path).absolute())
 
 
 def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "contact-v3", **settings: Any) -> TouchModel:

@@ -55,7 +55,7 @@ class TargetResult:
 class PipelineResult:
     """The result for one cloud."""
 
-    status: str  # "ok", or the status of the step at which the pipeline ended
+    status: str  # "ok" if there is a prediction; else the status of the step at which the pipeline ended, or of the first grasp
     reason: str  # why, in words; "" for "ok"
     scene: Scene | None  # none where the cloud holds only an object
     targets: tuple[TargetResult, ...]  # the objects to grasp with their predictions, best first
@@ -219,12 +219,9 @@ class Pipeline:
         model, grasps = self.model, Grasps.of(grasps)
         if not grasps:
             return Predictions.refused(grasps, model.sensor.channels, "refused", "")
-        predictions = model.predict(
+        return model.predict(
             target, grasps, tare=tare, history=history, limits=self.config.limits, reach=self.config.reach
         )
-        for flag in target.flags:
-            predictions = predictions.flagged(flag)
-        return predictions
 
     def run(self, cloud: Cloud, plane: Plane | None = None, *, mask: npt.ArrayLike | None = None) -> PipelineResult:
         """Run all steps, from a cloud to predicted touch.
@@ -255,6 +252,17 @@ class Pipeline:
         ms["total"] = sum(ms.values())
         status, reason = ("no_target", "") if scene is None else (scene.status, scene.reason)
         if results:
-            ok, first = any(result.predictions for result in results), results[0].plan
-            status, reason = ("ok", "") if ok else (first.status, first.reason)
+            status, reason = _outcome(results)
         return PipelineResult(status, reason, scene, tuple(results), ms)
+
+
+def _outcome(results: Sequence[TargetResult]) -> tuple[str, str]:
+    """Return status and reason for all objects: "ok" with any prediction, else of the first refused grasp, or of the first plan."""
+    refused = None
+    for result in results:
+        if result.predictions.ok.any():
+            return "ok", ""
+        if refused is None and result.predictions:
+            refused = result.predictions[0]
+    plan = results[0].plan
+    return (plan.status, plan.reason) if refused is None else (refused.status, refused.reason)

@@ -22,7 +22,6 @@ from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import needs_laboratory
-from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.models.estimator import UNFAMILIAR_CURE
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
@@ -91,7 +90,6 @@ def _answer(
             grasps, reason = [], str(err)
         planned = time.perf_counter()
         predictions = adaptation.predict(pipeline, target, grasps, item.sample)
-        predictions = flag_equal_pressures(predictions, pipeline.model)
         ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
         refused = predictions.reason[~predictions.ok].tolist()
         if number == 0:

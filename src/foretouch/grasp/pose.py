@@ -114,7 +114,7 @@ def rotation_faults(rotations: Float64) -> list[str]:
 def closing_faults(grasps: Grasps) -> list[str]:
     """Say which fingers of K grasps do not close along the line of the contacts, with the hand's Z within 30 degrees of g1 - g2.
 
-    The angle of each, "" where they do.
+    The angle of each and what is along the line instead, "" where they do.
     """
     along = grasps.g1 - grasps.g2
     with np.errstate(all="ignore"):
@@ -122,7 +122,26 @@ def closing_faults(grasps: Grasps) -> list[str]:
         cosine = (along * grasps.rotation[:, :, 2]).sum(axis=1) / np.sqrt((along**2).sum(axis=1))
         angles = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     rule = f"degrees from g1 - g2, more than {_TILTED_DEG:g}"
-    return _texts(angles <= _TILTED_DEG, lambda k: f"pose: its Z is {angles[k]:.0f} {rule}")
+
+    def text(k: int) -> str:
+        return f"pose: its Z is {angles[k]:.0f} {rule}; {_closing_cure(along[k], grasps.rotation[k])}"
+
+    return _texts(angles <= _TILTED_DEG, text)
+
+
+def _closing_cure(along: Float64, rotation: Float64) -> str:
+    """Say what of a rotation (3, 3) is along the line of the contacts (3,) instead of its third column, and what to do."""
+    along = along / np.linalg.norm(along)
+    (x, y, z), (_, _, third_row) = along @ rotation, rotation @ along
+    rule = "the columns are X, Y, Z, and Z, the third, runs from g2 to g1"
+    cures = {
+        "g1 and g2 are exchanged, or the hand is turned round: exchange them": -z,
+        f"the first column is along it: {rule}": abs(x),
+        f"the second column is along it: {rule}": abs(y),
+        "the third row is along it: give columns, not rows": abs(third_row),
+    }
+    cure = max(cures, key=lambda text: float(cures[text]))
+    return cure if cures[cure] >= math.cos(math.radians(_TILTED_DEG)) else rule
 
 
 def joined_faults(*parts: list[str]) -> list[str]:

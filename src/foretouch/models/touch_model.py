@@ -20,10 +20,11 @@ import numpy as np
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
 from foretouch.errors import CloudError, FileError, ModelError, TactileError, shown
 from foretouch.files import read_bytes, replace_files, system_errors
-from foretouch.grasp.pose import joined_faults, require_none, rotation_faults
-from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, reach_faults
+from foretouch.grasp.pose import closing_faults, joined_faults, require_none, rotation_faults
+from foretouch.grasp.reach import DEFAULT_REACH, OFF_OBJECT, ReachConfig, in_the_air, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.card import card_sensor
+from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.models.estimator import Estimate, Estimator
 from foretouch.models.files import under
 from foretouch.models.history_file import pack_history, to_bytes, to_text, unpack_history
@@ -38,6 +39,9 @@ from foretouch.types.scene import Object
 
 SIMILAR_TOUCHES: Final = "similar_touches"
 """Flag of predictions in which took part where on the object its earlier touches were."""
+
+NO_TABLE: Final = "assumed_table"
+"""Flag of predictions without a table: they hold if the camera looked straight down."""
 
 _TRACKER: Final = "tracker/"
 _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tares share would be counted as many
@@ -131,12 +135,13 @@ class TouchModel:
         reach: ReachConfig = DEFAULT_REACH,
         table: Plane | None = None,
     ) -> Predictions:
-        """Predict the readings of both fingertips at each grasp.
+        """Predict the readings of both fingertips at each grasp: in Python, of the commands, and of the graph.
 
-        Predictions are deterministic, and independent of the other grasps of the call to the last bit.
+        Predicted values are deterministic, and independent of the other grasps of the call to the last bit.
 
         Args:
-            cloud: The object's points [m], or an object of a scene; points without depth are ignored.
+            cloud: The object's points [m], or an object of a scene, whose flags the predictions get; points without depth
+                are ignored.
             grasps: In the cloud's frame.
             tare: A reading without contact, taken shortly before, of a hand of which nothing else was read.
             history: Readings of the hand so far, which include tares; `tare` must be omitted.
@@ -149,7 +154,9 @@ class TouchModel:
             A row for each grasp, in order; a grasp that no hand can execute is refused with a reason. `reference`
             names the strongest reading that it was adapted to: touches of the object, tare, history or none. Flags:
             `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or
-            grasp is out of the training distribution, with a reason from `UNFAMILIAR`, `similar_touches` where the places of earlier touches took part.
+            grasp is out of the training distribution, with a reason from `UNFAMILIAR`, `similar_touches` where the places of earlier touches took part,
+            `off_object` where a contact is in the air, `assumed_table` without a table, and `equal_pressure` where
+            grasps of the call cannot be ranked by pressure.
 
         Raises:
             CloudError: If the cloud holds too few points or all at one position, or is out of `limits`.
@@ -163,6 +170,7 @@ class TouchModel:
             self._calibrated()
             if not self.is_same(history.model):
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
+        flags = cloud.flags if isinstance(cloud, Object) else ()
         cloud, own_table = _cloud_and_table(cloud)
         table = table or own_table
         if history is not None and history.same_object is None:
@@ -172,10 +180,17 @@ class TouchModel:
         columns = Grasps.of(grasps)
         faults = _faults(columns, cloud, reach.max_width_m, reach.max_distance_m)
         usable = np.array([not fault for fault in faults], np.bool_)
-        if usable.all():
-            return self._predict(cloud, columns, tare, history, table)
-        predictions = self._predict(cloud, columns.take(usable), tare, history, table)  # a useless cloud is named first
-        return Predictions.refused(columns, self.sensor.channels, "bad_grasp", faults).put(usable, predictions)
+        graspable = columns if usable.all() else columns.take(usable)
+        predictions = self._predict(cloud, graspable, tare, history, table)  # a useless cloud is named first
+        predictions = predictions.flagged(OFF_OBJECT, in_the_air(graspable, cloud.xyz))
+        if table is None or table.assumed:
+            predictions = predictions.flagged(NO_TABLE)
+        if not usable.all():
+            refused = Predictions.refused(columns, self.sensor.channels, "bad_grasp", faults)
+            predictions = refused.put(usable, predictions)
+        for flag in flags:
+            predictions = predictions.flagged(flag)
+        return flag_equal_pressures(predictions, self)
 
     def _predict(
         self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: "History | None", table: Plane | None
@@ -615,4 +630,5 @@ def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: fl
         contact_faults(grasps.g1, grasps.g2, grasps.rotation),
         rotation_faults(grasps.rotation),
         reach_faults(grasps, cloud.xyz, max_width_m, max_distance_m),
+        closing_faults(grasps),
     )

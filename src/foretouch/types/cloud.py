@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point clouds and planes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -181,6 +181,7 @@ class Plane:
 
     normal: Float64  # (3,) float64, unit length, towards the camera if the plane was measured
     offset: float  # d [m]
+    assumed: bool = False  # whether it was not seen, but follows from the camera looking straight down
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Self:
@@ -214,7 +215,7 @@ class Plane:
     @property
     def towards_camera(self) -> "Plane":
         """The same plane, its normal on the side of the origin, where the camera is."""
-        return Plane(-self.normal, -self.offset) if self.offset < 0.0 else self
+        return replace(self, normal=-self.normal, offset=-self.offset) if self.offset < 0.0 else self
 
     def height(self, xyz: Floating) -> Floating:
         """Compute the distance of points from the plane.
@@ -228,7 +229,7 @@ class Plane:
         return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
 
 
-ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
+ASSUMED_TABLE = Plane(np.array([0.0, 0.0, 1.0]), -1.27, assumed=True)
 """The table of a cloud that holds only an object: seen from straight above, as in the public recordings."""
 
 
@@ -236,7 +237,7 @@ def assumed_table(cloud: Cloud) -> Plane:
     """Return the table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point."""
     depths = cloud.xyz[..., 2]
     depths = depths[np.isfinite(depths)]
-    return Plane(ASSUMED_TABLE.normal, -float(depths.max())) if depths.size else ASSUMED_TABLE
+    return replace(ASSUMED_TABLE, offset=-float(depths.max())) if depths.size else ASSUMED_TABLE
 
 
 NO_CLOUD = Cloud(np.empty((0, 3), np.float32))

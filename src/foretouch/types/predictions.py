@@ -92,8 +92,8 @@ class Predictions(Columns, Sequence["Prediction"]):
     channels: Channels = NO_CHANNELS  # what the D values are
     lower: Float64 = column(None, default=np.nan)  # (K, D) float64, lower bounds of the prediction intervals
     upper: Float64 = column(None, default=np.nan)  # (K, D) float64, upper bounds
-    # (K,) tuples of `out_of_range`, `unfamiliar`, `similar_touches`, `equal_pressure`, `late`, `fallback_model`,
-    # `ambiguous_target`, `unknown_frame`
+    # (K,) tuples of `out_of_range`, `unfamiliar` and its reasons, `similar_touches`, `equal_pressure`, `off_object`,
+    # `assumed_table`, `late`, `fallback_model`, `ambiguous_target`, `selected`, `unknown_frame` (docs/planners.md)
     flags: Objects = column(default=(), dtype=object)
     status: Objects = column(default="ok", dtype=object)  # (K,) `ok`, `bad_grasp`: no hand can execute it, or `refused`
     reason: Objects = column(default="", dtype=object)  # (K,) why it was refused; "" if ok
