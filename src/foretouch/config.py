@@ -270,7 +270,7 @@ def description_file(name: str | Path, known: Mapping[str, Path]) -> Path:
 
 
 def load_description(path: str | Path, settings: type[_S], what: str, more: Sequence[str] = ()) -> _S:
-    """Load a description from a YAML file; of a file that is none, no content is told, since anyone may name it.
+    """Load a description from a YAML file; of a file that is none, no content is reported, since anyone may name it.
 
     Args:
         path: The file.

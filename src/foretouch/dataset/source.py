@@ -131,8 +131,8 @@ def _recording(path: Path, topic: str | None, frame_id: str, camera: DepthCamera
         notes = recording.notes
     others = tuple(topics.values())
     entries = partial(_recorded, path, name, camera)
-    own = {"info_topic": "" if converted else info, "converted": converted, "camera": camera}
-    return Source(path, "recording", count, entries, frame_id, name, others=others, notes=notes, **own)
+    source = Source(path, "recording", count, entries, frame_id, name, others=others, notes=notes)
+    return replace(source, info_topic="" if converted else info, converted=converted, camera=camera)
 
 
 def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:

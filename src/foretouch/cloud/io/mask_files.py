@@ -7,7 +7,7 @@ from typing import Any, Final
 from foretouch.cloud.io.arrays import array_names, read_array, read_arrays
 from foretouch.cloud.io.depth_messages import image_pixels
 from foretouch.cloud.io.images import IMAGE_SUFFIXES, read_image
-from foretouch.errors import CloudError, FileError, none_of
+from foretouch.errors import CloudError, FileError, none_of, shown
 from foretouch.files import require_existing
 from foretouch.types import AnyArray
 
@@ -33,18 +33,24 @@ def read_mask(path: str | Path) -> AnyArray:
     suffix = path.suffix.lower()
     if suffix not in MASK_SUFFIXES:
         raise FileError(path, f"suffix: {none_of(suffix, MASK_SUFFIXES)}")
-    if suffix == ".npy":
-        return read_array(path)
-    if suffix == ".npz":
-        there = array_names(path)
-        name = next((name for name in _NAMES if name in there), None)
-        if name is None:
-            raise FileError(path, f"holds {', '.join(there) or 'no array'}, none of {', '.join(_NAMES)}")
-        return read_arrays(path, [name], [])[name]
+    if suffix in (".npy", ".npz"):
+        try:
+            return read_array(path) if suffix == ".npy" else _archived(path)
+        except FileError as err:
+            raise FileError(path, f"cannot be read: {err.rule}", field="mask") from err
     pixels = read_image(path, "mask")
     if pixels.ndim != 2:
         raise FileError(path, "mask: an image with colours; write one label a pixel (8 or 16 bit grey)")
     return pixels
+
+
+def _archived(path: Path) -> AnyArray:
+    """Return the mask in an archive."""
+    there = array_names(path)
+    name = next((name for name in _NAMES if name in there), None)
+    if name is None:
+        raise FileError(path, f"holds {shown(', '.join(there)) or 'no array'}, none of {', '.join(_NAMES)}")
+    return read_arrays(path, [name], [])[name]
 
 
 def decode_mask(message: Any) -> AnyArray:

@@ -82,7 +82,7 @@ def pcd_bytes(cloud: Cloud) -> bytes:
         f"SIZE{' 4' * count}\nTYPE{' F' * count}\nCOUNT{' 1' * count}\nWIDTH {layout.width}\nHEIGHT {layout.height}\n"
         f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {cloud.size}\nDATA binary\n"
     )
-    return header.encode("ascii") + layout.data.tobytes()
+    return header.encode("ascii") + bytes(layout.data.data)
 
 
 def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
