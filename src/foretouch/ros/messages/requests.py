@@ -196,7 +196,7 @@ def read_table(table: TablePlane, header: Header) -> tuple[Plane, Obstacles | No
 
 
 def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits) -> Targets:
-    """Convert cloud and table of a request, for which a cloud that is only a header stands for the latest one, with its table.
+    """Convert cloud and table of a request; a cloud without points stands for the latest one, with its table.
 
     Args:
         request: Holds a `cloud`, and a `table` with one plane or none.
@@ -204,26 +204,23 @@ def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits
         limits: Of objects.
 
     Raises:
-        RefusalError: As `read_targets` and `read_plane`; EMPTY_CLOUD without a latest cloud, UNKNOWN_FRAME if that is in another frame.
+        RefusalError: As `read_targets` and `read_plane`; EMPTY_CLOUD before the first cloud, UNKNOWN_FRAME if the latest is in
+            another frame, or why the latest has no objects.
     """
     cloud, table = request.cloud, request.table
     plane = read_plane(table[0]) if table else None
-    if cloud.fields or not cloud.header.frame_id:
+    if cloud.width * cloud.height or len(cloud.data):
         unknown = None if table else RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
         return Targets(cloud.header, read_targets(cloud, plane or ASSUMED_TABLE, limits), lambda: cloud, unknown)
     if latest is None:
-        raise no_latest_cloud()
-    check_frames("cloud", cloud.header, latest.header)
-    if not latest.objects:
-        raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
+        raise RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
+    if cloud.header.frame_id:
+        check_frames("cloud", cloud.header, latest.header)
+    if not latest.objects and latest.refusal is not None:
+        raise latest.refusal
     if plane is None:
         return latest
     return latest._replace(objects=tuple(replace(target, plane=plane) for target in latest.objects), refusal=None)
-
-
-def no_latest_cloud() -> RefusalError:
-    """Make the refusal of a request that is about the latest cloud before there is one."""
-    return RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
 
 
 def passed_on(name: str, status: int, reason: str) -> RefusalError:

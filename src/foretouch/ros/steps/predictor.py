@@ -126,7 +126,7 @@ class Predictor:
         predictions = flag_equal_pressures(predictions, model)
         faults = closing_faults(grasps)
         tilted = np.array([bool(fault) for fault in faults], np.bool_) & predictions.ok
-        if tilted.any():  # the constructor of a message makes w = 1, which is an orientation
+        if tilted.any():
             reasons = [fault for fault, refused in zip(faults, tilted.tolist(), strict=True) if refused]
             refused = Predictions.refused(grasps.take(tilted), posed.channels, "bad_grasp", reasons)
             predictions = predictions.put(tilted, refused)

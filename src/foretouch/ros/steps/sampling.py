@@ -22,7 +22,7 @@ from foretouch.grasp import GraspPlan
 from foretouch.grasp.hand import tool_of
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups, predicted_pressures
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.messages.requests import RefusalError, Targets, no_latest_cloud, requested_targets
+from foretouch.ros.messages.requests import RefusalError, requested_targets
 from foretouch.ros.steps.grasping import plan_targets
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.steps.touch_settings import COSTS, HARDER_FINGER, SCORE, TouchSettings
@@ -74,7 +74,9 @@ def sample_grasps(
         raise RefusalError(Status.BAD_REQUEST, f"cost: {rule!r} is not one of {', '.join(COSTS)}")
     if goal.count > config.max_grasps:
         raise RefusalError(Status.BAD_REQUEST, f"count: {goal.count} is above max_grasps, {config.max_grasps}")
-    targets = _targets(goal, step.latest, config)
+    targets = requested_targets(goal, step.latest, config.limits)
+    if targets.refusal is not None:  # the table of a given cloud is not known
+        raise targets.refusal
     planning = config.grasp.replace(count=goal.count) if goal.count else config.grasp
     pipeline = Pipeline(PipelineConfig(grasp=planning, hand=config.hand, limits=config.limits))
     name = bytes(handle.goal_id.uuid).hex()[:8]
@@ -104,17 +106,6 @@ def sample_grasps(
     fields |= _fields(candidates, targets.header)
     step.add_requested(targets, fields["grasps"])
     return SampleGrasps.Result(predictions=[candidate.prediction for candidate in candidates], **fields)
-
-
-def _targets(goal: Any, latest: Targets | None, config: TouchSettings) -> Targets:
-    """Find the objects of a goal, whose table is known."""
-    given = goal.cloud.width * goal.cloud.height
-    targets = requested_targets(goal, latest, config.limits) if given else latest
-    if targets is None:
-        raise no_latest_cloud()
-    if targets.refusal is not None:
-        raise targets.refusal
-    return targets
 
 
 def _predicted(step: TouchStep, rule: str, target: Object, plan: GraspPlan, message: GraspArray) -> list[_Candidate]:
