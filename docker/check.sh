@@ -34,7 +34,7 @@ apt_get() { if test "$(id -u)" = 0; then apt-get "$@"; else sudo -n apt-get "$@"
 # What rosdep has no keys for, in an environment that sees the packages of the system; and what the tests need.
 environment() {
   python3 -m venv --system-site-packages venv && touch venv/COLCON_IGNORE && . venv/bin/activate \
-    && pip install -q -c "$HERE/constraints.txt" safetensors embreex mcap pyarrow rosbags threadpoolctl trimesh python-neo-lzf \
+    && pip install -q -c "$HERE/constraints.txt" safetensors embreex lazy_loader mcap pyarrow rosbags threadpoolctl trimesh python-neo-lzf \
     && pip install -q hypothesis pytest-timeout mpmath
 }
 

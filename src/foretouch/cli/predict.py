@@ -17,18 +17,20 @@ import numpy as np
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
 from foretouch.cli.answers import contacts_text, modality_text, prediction_record
-from foretouch.cli.output import print_json, print_table
+from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import needs_laboratory
 from foretouch.models.equal_pressure import flag_equal_pressures
+from foretouch.models.estimator import UNFAMILIAR_CURE
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import Pipeline
 from foretouch.tactile import BIOTAC
 from foretouch.types import Grasp, Prediction, Reference, Touch
 from foretouch.types.channels import Channels
+from foretouch.types.predictions import evidence_text
 from foretouch.types.scene import Object
 
 
@@ -61,7 +63,13 @@ def run(arguments: argparse.Namespace) -> int:
     pipeline = Pipeline(inputs.pipeline_config(arguments, defaults=defaults))
     adaptation = read_adaptation(arguments, pipeline.model)
     answer = partial(_answer, arguments, pipeline, adaptation)
-    return inputs.process_inputs(arguments, answer, partial(_show, channels=pipeline.model.sensor.channels))
+    flags: set[str] = set()
+    status = inputs.process_inputs(
+        arguments, answer, partial(_show, channels=pipeline.model.sensor.channels, flags=flags)
+    )
+    if "unfamiliar" in flags:
+        print_text(UNFAMILIAR_CURE)
+    return status
 
 
 def _answer(
@@ -139,7 +147,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
             "history_age_s": evidence.reading_age_s,
             "restarted": list(done.played.restarted[k]),
         }
-        (print_json if arguments.json else partial(_show, channels=channels))(record)
+        (print_json if arguments.json else partial(_show, channels=channels, flags=set()))(record)
     return 0
 
 
@@ -166,11 +174,13 @@ def _named(model: TouchModel) -> inputs.Record:
     return {"name": model.name, "sha256": model.sha256, **sensor, **dead}
 
 
-def _show(record: dict[str, Any], *, channels: Channels) -> None:
+def _show(record: dict[str, Any], *, channels: Channels, flags: set[str]) -> None:
+    """Print the predictions of a record as a table, and add their flags to `flags`."""
     rows, contacts = [], []
     for number, prediction in enumerate(record["predictions"], 1):
-        counts = {"touches": f" {record['touched']}", "history": f" {prediction['evidence']['readings']}"}
-        reference = f"{prediction['reference']}{counts.get(prediction['reference'], '')}"
+        flags.update(prediction["flags"])
+        evidence = prediction["evidence"]
+        reference = evidence_text(prediction["reference"], evidence["touches"], evidence["readings"])
         contacts.append(f"\ngrasp {number}: {contacts_text(prediction['grasp'])}")
         rows.append([
             str(number),

@@ -19,12 +19,11 @@ from foretouch.errors import ConfigError, nearest, shown
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Floating, Int32
+from foretouch.types.grasps import TILTS
 
 FINGER, THUMB, PALM = "finger", "thumb", "palm"
 UNLIMITED_M: Final = 10.0
 """Depth of a hand without a palm, and how far it could move on [m]."""
-TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
-"""Angles of the palm about the line [rad]: 0 is straight above, positive ones come from the side to which z x line points."""
 
 _SPARE_M: Final = 0.003
 """Distance that the palm keeps from the object where it can, since sizes and places are estimated."""

@@ -17,7 +17,14 @@ UNFAMILIAR: Final[Mapping[str, str]] = {
     "other_direction": "the hand comes from a direction that the training lacks",
     "sparse_points": "the points are too few for this object",
 }
-"""Flags beside `unfamiliar`, and what they mean. Touch the object, or train on 20 grasps of such ones."""
+"""Flags beside `unfamiliar`, and what they mean."""
+
+UNFAMILIAR_CURE: Final = (
+    "unfamiliar: the training holds nothing like it, so the prediction is near the mean of the training readings. "
+    "Give readings of the object (--touched, or executed_grasp in the graph), or train on 20 grasps of such objects: "
+    "docs/tutorials/own_model.md"
+)
+"""What a prediction with the flag `unfamiliar` is worth, and what to do."""
 
 
 @dataclass(frozen=True, eq=False)

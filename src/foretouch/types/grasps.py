@@ -10,6 +10,11 @@ import numpy as np
 from foretouch.errors import ForetouchError, GraspError
 from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers
 
+TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
+"""Angles of the palm about the line from g1 to g2 [rad]: 0 is straight above, positive ones come from the side to which up x line points."""
+
+_MIRRORED = np.abs(TILTS[:, None] + TILTS).argmin(axis=1)  # place of the negative of each angle
+
 
 @dataclass(frozen=True, eq=False)
 class WayIn:
@@ -30,7 +35,8 @@ class WayIn:
 
     def with_contacts_swapped(self) -> Self:
         """Return the same way to a grasp whose contacts have each other's names."""
-        return replace(self, thumb_at="g1" if self.thumb_at == "g2" else "g2", approaches=self.approaches[::-1, ::-1])
+        swapped = self.approaches[::-1, _MIRRORED]  # the line turns round, and with it the sign of each angle
+        return replace(self, thumb_at="g1" if self.thumb_at == "g2" else "g2", approaches=swapped)
 
 
 @dataclass(frozen=True, eq=False)

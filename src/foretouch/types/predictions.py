@@ -259,3 +259,19 @@ class Prediction:
         """The readings behind `reference`."""
         evidence: Evidence = self._rows.evidence[self._k]
         return evidence
+
+
+def evidence_text(reference: str, touches: int, readings: int) -> str:
+    """Describe a reference.
+
+    Args:
+        reference: Its name, such as `touches`.
+        touches: Number of touches that a prediction was adapted to.
+        readings: Number of readings that it was adapted to.
+    """
+    texts = {
+        "none": "cloud only",
+        "touches": f"{touches} touch{'' if touches == 1 else 'es'}",
+        "history": f"history of {readings} readings",
+    }
+    return texts.get(reference, reference)
