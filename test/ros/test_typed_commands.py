@@ -115,9 +115,19 @@ class Terminal:
 
     def stop(self, process: "subprocess.Popen[bytes]") -> str:
         """Press Ctrl-C, after which the command must end by itself; what it has written."""
-        process.send_signal(signal.SIGINT)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
         process.wait(timeout=30.0)
         return self.output(process)
+
+    def until(self, command: str, wanted: str, timeout_s: float = 60.0) -> str:
+        """The output of a command, typed again and again until it matches a pattern."""
+        end, output = time.monotonic() + timeout_s, ""
+        while not re.search(wanted, output, re.MULTILINE):
+            assert time.monotonic() < end, f"{command}: {wanted} is not in: {output}"
+            process = self.start(command)
+            process.wait(timeout=timeout_s)
+            output = self.output(process)
+        return output
 
     def answers(self, namespace: str, count: int = 1) -> list[int]:
         """The status of the next answers of a graph."""
@@ -128,7 +138,7 @@ class Terminal:
         """End what still runs, and the daemon of the command line."""
         for process in self._processes:
             if process.poll() is None:
-                process.send_signal(signal.SIGINT)
+                os.killpg(process.pid, signal.SIGINT)
         for process in self._processes:
             try:
                 process.wait(timeout=20.0)
@@ -315,26 +325,32 @@ def pid_of(terminal: Terminal, node: str) -> int:
 
 def test_a_graph_launched_with_the_time_of_a_clock_answers_by_it(terminal: Terminal) -> None:
     pytest.importorskip("rosgraph_msgs.msg", reason="rosgraph_msgs is not installed")
-    clock = terminal.start("ros2 topic pub -r 20 /clock rosgraph_msgs/msg/Clock '{clock: {sec: 1000, nanosec: 5}}'")
-    launched = terminal.start("ros2 launch foretouch scene.launch.py use_sim_time:=true fps:=2")
-    words = f"ros2 topic echo --once --field header.stamp.sec /foretouch/touch {TOUCH}"
-    assert terminal(words).split()[0] == "1000"
+    played = {"/foretouch/replay": {"ros__parameters": {"restamp": True, "loop": True, "rate_hz": 2.0}}}
+    (terminal.folder / "played.yaml").write_text(yaml.safe_dump(played), encoding="utf-8")
+    terminal.start("ros2 topic pub -r 20 /clock rosgraph_msgs/msg/Clock '{clock: {sec: 1000, nanosec: 5}}'")
+    path = ROOT / "examples/data/table.npz"
+    launched = terminal.start(
+        f"ros2 launch foretouch replay.launch.py path:={path} use_sim_time:=true params_file:=played.yaml"
+    )
+    assert (
+        terminal.until(f"ros2 topic echo --once --field header.stamp.sec /foretouch/touch {TOUCH}", r"^\d+").split()[0]
+        == "1000"
+    )
     assert "Boolean value is: True" in terminal("ros2 param get /foretouch/perception use_sim_time")
-    assert terminal.stop(launched).count("Traceback") == 0
-    terminal.stop(clock)
+    assert "Traceback" not in terminal.stop(launched)
 
 
 def test_parameters_that_were_dumped_start_the_same_graph_and_can_be_loaded(terminal: Terminal) -> None:
     launch = "ros2 launch foretouch perception.launch.py camera:=false"
     first = terminal.start(launch)
-    terminal("ros2 lifecycle get /foretouch/perception")
+    terminal.until("ros2 lifecycle get /foretouch/perception", "^active")
     for name, value in (("target.mode", "all"), ("hand.opening_m", "0.07"), ("frames", "[camera_a, camera_b]")):
         assert "successful" in terminal(f"ros2 param set /foretouch/perception {name} '{value}'")
     dumped = terminal("ros2 param dump /foretouch/perception")
     (terminal.folder / "dumped.yaml").write_text(dumped, encoding="utf-8")
     terminal.stop(first)
     second = terminal.start(f"{launch} params_file:=dumped.yaml")
-    terminal("ros2 lifecycle get /foretouch/perception")
+    terminal.until("ros2 lifecycle get /foretouch/perception", "^active")
     assert settled(terminal("ros2 param dump /foretouch/perception")) == settled(dumped)
     loaded = terminal("ros2 param load /foretouch/perception dumped.yaml")
     failed = [line for line in loaded.splitlines() if "failed" in line and "read-only" not in line]
@@ -352,7 +368,7 @@ def test_what_a_launched_recorder_wrote_is_replayed_to_its_end_by_a_launch(termi
     scene = terminal.start("ros2 launch foretouch scene.launch.py fps:=3 dwell:=600")
     assert terminal.answers("/foretouch") == [0]
     recorder = terminal.start("ros2 launch foretouch recorder.launch.py record:=session object:=can")
-    terminal.some("ros2 topic echo --field bytes_written /foretouch/recorder_status", r"^[1-9]\d{5,}")
+    terminal.until("ros2 topic echo --once --field bytes_written /foretouch/recorder_status", r"^[1-9]\d{5,}")
     assert "success=True" in terminal(
         "ros2 service call /foretouch/stop_recording foretouch_msgs/srv/StopRecording", 90.0
     )

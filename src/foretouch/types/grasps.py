@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, Self, overload
 import numpy as np
 
 from foretouch.errors import ForetouchError, GraspError
-from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers
+from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects
 
 TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
 """Angles of the palm about the line from g1 to g2 [rad]: 0 is straight above, positive ones come from the side to which up x line points."""
@@ -32,6 +32,10 @@ class WayIn:
     posture: Float64  # (J,) float64 [rad], angles of `joints`
     joints: tuple[str, ...] = ()  # names of J joints
     hand: str = ""  # its description: a name of the package, or the path of a YAML file
+
+    def moved(self, pose: Float64) -> Self:
+        """Return the same way in another frame, in which `pose` (4, 4) is the frame of this one."""
+        return replace(self, approach=pose[:3, :3] @ self.approach, pose_of_hand=pose @ self.pose_of_hand)
 
     def with_contacts_swapped(self) -> Self:
         """Return the same way to a grasp whose contacts have each other's names."""
@@ -63,6 +67,16 @@ class Grasp:
             object.__setattr__(self, name, array)
         if fault := contact_faults(self.g1[None], self.g2[None], self.rotation[None])[0]:
             raise GraspError(fault)
+
+    def moved(self, pose: Float64) -> Self:
+        """Return the same grasp in another frame, in which `pose` (4, 4) is the frame of this one."""
+        return replace(
+            self,
+            g1=pose[:3, :3] @ self.g1 + pose[:3, 3],
+            g2=pose[:3, :3] @ self.g2 + pose[:3, 3],
+            rotation=pose[:3, :3] @ self.rotation,
+            way=None if self.way is None else self.way.moved(pose),
+        )
 
     @property
     def midpoint(self) -> Float64:
@@ -166,6 +180,15 @@ class Grasps(Columns, Sequence[Grasp]):
 
     def __iter__(self) -> Iterator[Grasp]:
         return (self[k] for k in range(len(self)))
+
+    def moved(self, pose: Float64) -> Self:
+        """Return the same grasps in another frame, in which `pose` (4, 4) is the frame of these."""
+        return self.replace(
+            g1=self.g1 @ pose[:3, :3].T + pose[:3, 3],
+            g2=self.g2 @ pose[:3, :3].T + pose[:3, 3],
+            rotation=pose[:3, :3] @ self.rotation,
+            way=objects([None if way is None else way.moved(pose) for way in self.way]),
+        )
 
     @property
     def midpoint(self) -> Float64:
