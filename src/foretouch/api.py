@@ -40,12 +40,15 @@ def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: Pipeline
     return Pipeline(config).segment(cloud, mask=mask)
 
 
-def plan(target: Object, *, count: int | None = None, config: PipelineConfig | None = None) -> Grasps:
+def plan(
+    target: Object, *, count: int | None = None, hand: str | None = None, config: PipelineConfig | None = None
+) -> Grasps:
     """Plan two-finger grasps on an object.
 
     Args:
         target: An object of a `Scene`, whose other objects are avoided.
         count: Most grasps; by default one.
+        hand: A described hand that must find a way to the object, such as `franka_hand`, or the path of a YAML file.
         config: Settings of all steps; the defaults if None.
 
     Returns:
@@ -54,10 +57,12 @@ def plan(target: Object, *, count: int | None = None, config: PipelineConfig | N
 
     Raises:
         CloudError: If a scene, a cloud or background is passed for the object.
+        ConfigError: If there is no such hand, or the count is out of its bounds.
     """
     pipeline = Pipeline(config)
-    if count is not None:
-        pipeline.config = pipeline.config.updated({"grasp.count": count}, "count")
+    for name, key, value in (("count", "grasp.count", count), ("hand", "hand.name", hand)):
+        if value is not None:
+            pipeline.config = pipeline.config.updated({key: value}, name)
     return pipeline.plan(target).grasps
 
 
@@ -91,12 +96,13 @@ def open(path: str | Path) -> SampleSet:  # noqa: A001
         path: The dataset.
 
     Returns:
-        Its samples, read on demand: iteration gives `Sample`, `to_arrays()` columns, `split(…)` parts.
+        Its samples, read on demand: iteration gives `Sample`, `to_arrays()` columns, `split(…)` parts. They are those of now, read
+        by absolute paths; threads, forked and spawned processes read them too.
 
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
     """
-    return open_samples(path)
+    return open_samples(Path(path).absolute())
 
 
 def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "contact-v3", **settings: Any) -> TouchModel:

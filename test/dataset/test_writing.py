@@ -243,6 +243,77 @@ def test_what_is_no_list_of_samples_is_named(tmp_path: Path, pads: Path, samples
     assert not (tmp_path / "ds").exists()
 
 
+def failing(error: BaseException) -> Any:
+    """Two grasps, then an error of the caller's own."""
+    yield from (grasp(id="1"), grasp(id="2"))
+    raise error
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_an_extension_is_there_as_a_whole_or_not_at_all(tmp_path: Path, pads: Path, exists: bool) -> None:
+    path = tmp_path / "ds"
+    if exists:
+        ft.write(path, [grasp(id="0")], pads)
+    before = snapshot(path)
+    broken: list[tuple[Any, type[BaseException], str]] = [
+        ([grasp(id="1"), grasp(id="2", rest=-1)], DatasetError, r"sample 1 \(mug/2\): rest: -1"),
+        (
+            [grasp(id="1"), grasp(id="1")],
+            DatasetError,
+            r"id mug/1 is taken: give another id, or write to another dataset",
+        ),
+        ([grasp(id="1"), 5], DatasetError, "sample 1: int is neither"),
+        (failing(ValueError("of the caller")), ValueError, "of the caller"),
+        (failing(FileNotFoundError(2, "absent", "table.csv")), FileNotFoundError, r"table\.csv"),
+        (failing(KeyboardInterrupt("pressed")), KeyboardInterrupt, "pressed"),
+        (failing(SystemExit(3)), SystemExit, "3"),
+    ]
+    for samples, kind, rule in broken:
+        with pytest.raises(kind, match=rule):
+            ft.write(path, samples, pads)
+        assert snapshot(path) == before
+    with pytest.raises(FileError, match=r"ds: disk almost full: less than 1e\+09 MB would be left: nothing was added"):
+        ft.write(path, [grasp(id="1")], pads, min_free_mb=1e9)
+    assert snapshot(path) == before
+    corrected = written(path, pads, grasp(id="1"), grasp(id="2"), min_free_mb=0.0)
+    assert [sample.id for sample in corrected] == ["mug/0"] * exists + ["mug/1", "mug/2"]
+
+
+def test_an_import_into_a_dataset_is_there_as_a_whole_or_not_at_all(tmp_path: Path, pads: Path) -> None:
+    source, path = tmp_path / "source", tmp_path / "ds"
+    ft.write(source, [grasp(id=str(k)) for k in range(3)], pads)
+    ft.write(path, [grasp(id="2")], pads)  # which the last one of the source has, too
+    before = snapshot(path)
+    with pytest.raises(DatasetError, match="id mug/2 is taken"):
+        import_samples(source, path)
+    assert snapshot(path) == before
+
+
+def test_the_session_of_a_writer_that_was_killed_is_removed_by_the_next(tmp_path: Path, pads: Path) -> None:
+    path = tmp_path / "ds"
+    ft.write(path, [grasp(id="0")], pads)
+    child = os.fork()
+    if not child:
+        ft.write(path, failing_hard(), pads)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+    assert sorted(file.name for file in path.glob("session-*")) == ["session-0001.mcap", "session-0002.mcap.part"]
+    assert [sample.id for sample in open_samples(path)] == ["mug/0"]
+    assert [sample.id for sample in written(path, pads, grasp(id="1"))] == ["mug/0", "mug/1"]
+    assert [*path.glob("*.part")] == []
+
+
+def failing_hard() -> Any:
+    """One grasp, then the end of the process."""
+    yield grasp(id="1")
+    os._exit(9)
+
+
+def snapshot(path: Path) -> dict[str, bytes]:
+    """The files of a dataset; none if it does not exist, and no folder is left beside it."""
+    assert not path.with_name(f".{path.name}.part").exists()
+    return {file.name: file.read_bytes() for file in path.glob("*") if file.name != ".lock"}
+
+
 def _csv(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
     import pandas as pd
 

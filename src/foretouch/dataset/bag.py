@@ -74,7 +74,7 @@ class Message:
 
 
 class Recording:
-    """An open recording; a context manager.
+    """An open recording; a context manager. Each thread and each process opens its own.
 
     Args:
         path: A rosbag2 directory, a directory of `.mcap` or `.db3` files, such a file, or a ROS 1 `.bag`.

@@ -106,7 +106,7 @@ def open_source(
         samples = open_samples(path)
         numbers = sorted(range(len(samples)), key=lambda k: _natural(samples.name(k)))
         named = [(samples.name(k), partial(samples.read, k)) for k in numbers]
-        return Source(path, "samples", len(named), lambda: named, frame_id)
+        return Source(path, "samples", len(named), partial(list, named), frame_id)
     if is_recording(path):
         return _recording(path, topic, frame_id)
     if topic is not None:
@@ -152,7 +152,7 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     rule = "a depth image in a folder is NAME-depth or depth-NAME"
     notes = (f"{path}: left out: {left_out[0]}{more}; {rule}",) if left_out else ()
     masks = {str(file): mask for file, mask in pairs.masks.items()}
-    return Source(path, "clouds", len(clouds), lambda: clouds, frame_id, masks=masks, notes=notes)
+    return Source(path, "clouds", len(clouds), partial(list, clouds), frame_id, masks=masks, notes=notes)
 
 
 def _recorded(path: Path, topic: str) -> Iterator[tuple[str, Callable[[], Cloud]]]:

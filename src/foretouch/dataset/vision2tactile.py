@@ -15,7 +15,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, count
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -139,15 +139,21 @@ def recognise(path: Path) -> bool:
 
 def open_set(path: Path, _: bool) -> SampleSet:
     """Return the samples in the folders at a path."""
-    folders = sorted(_folders_in(path))
-    return SampleSet(
-        path=path,
-        kind="vision2tactile",
-        size=len(folders),
-        read=lambda k: _read_sample(folders[k]),
-        name=lambda k: str(folders[k]),
-        identity=_IDENTITY,
-    )
+    folders = _Folders(tuple(sorted(_folders_in(path))))
+    size = len(folders.paths)
+    return SampleSet(path, "vision2tactile", size, read=folders.read, name=folders.name, identity=_IDENTITY)
+
+
+class _Folders(NamedTuple):
+    """Folders of samples."""
+
+    paths: tuple[Path, ...]
+
+    def read(self, number: int) -> Sample:
+        return _read_sample(self.paths[number])
+
+    def name(self, number: int) -> str:
+        return str(self.paths[number])
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:

@@ -8,11 +8,11 @@ from typing import Any, Final, get_args
 import numpy as np
 
 from foretouch.errors import GraspError, TactileError
-from foretouch.grasp.pose import check_rotation, quaternion_xyzw
 from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Grasps, Predictions, Reference, WayIn
 from foretouch.types.arrays import objects
 from foretouch.types.channels import LARGEST, Channel, Channels
 from foretouch.types.grasps import TILTS
+from foretouch.types.rotations import check_rotation, quaternion_xyzw
 
 _MAX_UNIT: Final = 2.0  # no component of a rotation is larger; the square of such a number may overflow
 _UNIT_TOLERANCE: Final = 1e-3  # of a quaternion's length; planners work with float32

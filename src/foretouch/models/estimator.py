@@ -7,6 +7,7 @@ from typing import Final, Protocol
 
 from foretouch.tactile import Ranges
 from foretouch.types import Bool, Cloud, Float64, Grasp, Plane
+from foretouch.types.summary import Summarised
 
 UNFAMILIAR: Final[Mapping[str, str]] = {
     "larger_object": "the object is larger than any of the training",
@@ -27,8 +28,8 @@ UNFAMILIAR_CURE: Final = (
 """What a prediction with the flag `unfamiliar` is worth, and what to do."""
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Summarised):
     """Predictions for K grasps on one cloud, before tare, touches and intervals are applied."""
 
     counts: Float64  # (K, D) float64 [counts]

@@ -20,10 +20,13 @@ import numpy as np
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
 from foretouch.errors import CloudError, FileError, ModelError, TactileError, shown
 from foretouch.files import read_bytes, replace_files, system_errors
-from foretouch.grasp.pose import joined_faults, require_none, rotation_faults
-from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, reach_faults
+from foretouch.grasp.axis import with_rotations
+from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.pose import closing_faults, joined_faults
+from foretouch.grasp.reach import DEFAULT_REACH, OFF_OBJECT, ReachConfig, in_the_air, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.card import card_sensor
+from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.models.estimator import Estimate, Estimator
 from foretouch.models.files import under
 from foretouch.models.history_file import pack_history, to_bytes, to_text, unpack_history
@@ -34,19 +37,27 @@ from foretouch.tactile.description import require_same
 from foretouch.types import AnyArray, Cloud, Evidence, Float64, Grasp, Grasps, Plane, Predictions, Reference, Touch
 from foretouch.types.arrays import objects
 from foretouch.types.grasps import contact_faults
+from foretouch.types.rotations import are_absent, fault_texts, require_none, rotation_faults
 from foretouch.types.scene import Object
+from foretouch.types.summary import Summarised, briefly, counted, names_of
 
 SIMILAR_TOUCHES: Final = "similar_touches"
 """Flag of predictions in which took part where on the object its earlier touches were."""
 
+NO_TABLE: Final = "assumed_table"
+"""Flag of predictions without a table: they hold if the camera looked straight down."""
+
 _TRACKER: Final = "tracker/"
 _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tares share would be counted as many
+
+_POSING: Final = GeoGraspConfig()  # by which rotations are computed that are not given
+_NO_ROTATION: Final = "rotation: is not given, and computing it needs the table; pass an object of a scene, or table"
 
 _SAME_OBJECT_M: Final = 0.02
 """How far an object may have moved, or changed in apparent size, since it was touched."""
 
 
-class TouchModel:
+class TouchModel(Summarised):
     """Predicts what both fingertips would read at a grasp. It never changes, so threads may share it.
 
     Args:
@@ -71,6 +82,23 @@ class TouchModel:
         self.ranges = estimator.ranges
         self.estimator = estimator
         self.path: Path | None = None  # of its card, where it was loaded
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        data = self.card.get("data", {})
+        objects = data.get("objects")
+        trained = f"{data['samples']} samples" if "samples" in data else ""
+        skills = {
+            split: np.mean([row["skill"] for row in by.values()]) for split, by in self.card.get("skill", {}).items()
+        }
+        return f"{shown(self.name, 40)}, {self.card.get('kind', 'own')}", {
+            "sensor": briefly(self.sensor),
+            "trained on": f"{trained} of {counted(len(objects), 'object')}" if objects else trained,
+            "hand": "simulated" if self.simulated else "",
+            "mean skill": names_of([f"{split} {value:.2f}" for split, value in skills.items()]),
+            "intervals": "none: not calibrated" if self.calibration is None else "90 %, adapted to readings",
+            "sha256": self.sha256[:16],
+            "card": "" if self.path is None else shown(self.path, 80),
+        }
 
     @property
     def simulated(self) -> bool:
@@ -131,13 +159,15 @@ class TouchModel:
         reach: ReachConfig = DEFAULT_REACH,
         table: Plane | None = None,
     ) -> Predictions:
-        """Predict the readings of both fingertips at each grasp.
+        """Predict the readings of both fingertips at each grasp: in Python, of the commands, and of the graph.
 
-        Predictions are deterministic, and independent of the other grasps of the call to the last bit.
+        Predicted values are deterministic, and independent of the other grasps of the call to the last bit.
 
         Args:
-            cloud: The object's points [m], or an object of a scene; points without depth are ignored.
-            grasps: In the cloud's frame.
+            cloud: The object's points [m], or an object of a scene, whose flags the predictions get; points without depth
+                are ignored.
+            grasps: In the cloud's frame. Rotations that are not given, as in `Grasps(g1, g2)`, are computed as the planner
+                does; this needs the table.
             tare: A reading without contact, taken shortly before, of a hand of which nothing else was read.
             history: Readings of the hand so far, which include tares; `tare` must be omitted.
             limits: Range and size of objects.
@@ -149,7 +179,9 @@ class TouchModel:
             A row for each grasp, in order; a grasp that no hand can execute is refused with a reason. `reference`
             names the strongest reading that it was adapted to: touches of the object, tare, history or none. Flags:
             `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or
-            grasp is out of the training distribution, with a reason from `UNFAMILIAR`, `similar_touches` where the places of earlier touches took part.
+            grasp is out of the training distribution, with a reason from `UNFAMILIAR`, `similar_touches` where the places of earlier touches took part,
+            `off_object` where a contact is in the air, `assumed_table` without a table, and `equal_pressure` where
+            grasps of the call cannot be ranked by pressure.
 
         Raises:
             CloudError: If the cloud holds too few points or all at one position, or is out of `limits`.
@@ -163,19 +195,27 @@ class TouchModel:
             self._calibrated()
             if not self.is_same(history.model):
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
+        flags = cloud.flags if isinstance(cloud, Object) else ()
         cloud, own_table = _cloud_and_table(cloud)
         table = table or own_table
         if history is not None and history.same_object is None:
             same = history.is_current(cloud, _SAME_OBJECT_M)
             history = history.snapshot(history.stamp_ns, same_object=same, tare=history.tared, tdc=history.tdc)
         check_object(cloud.xyz, limits)
-        columns = Grasps.of(grasps)
+        columns = with_rotations(Grasps.of(grasps), cloud, table, _POSING)
         faults = _faults(columns, cloud, reach.max_width_m, reach.max_distance_m)
         usable = np.array([not fault for fault in faults], np.bool_)
-        if usable.all():
-            return self._predict(cloud, columns, tare, history, table)
-        predictions = self._predict(cloud, columns.take(usable), tare, history, table)  # a useless cloud is named first
-        return Predictions.refused(columns, self.sensor.channels, "bad_grasp", faults).put(usable, predictions)
+        graspable = columns if usable.all() else columns.take(usable)
+        predictions = self._predict(cloud, graspable, tare, history, table)  # a useless cloud is named first
+        predictions = predictions.flagged(OFF_OBJECT, in_the_air(graspable, cloud.xyz))
+        if table is None or table.assumed:
+            predictions = predictions.flagged(NO_TABLE)
+        if not usable.all():
+            refused = Predictions.refused(columns, self.sensor.channels, "bad_grasp", faults)
+            predictions = refused.put(usable, predictions)
+        for flag in flags:
+            predictions = predictions.flagged(flag)
+        return flag_equal_pressures(predictions, self)
 
     def _predict(
         self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: "History | None", table: Plane | None
@@ -214,7 +254,7 @@ class TouchModel:
         """
         check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range or wider than any hand.
-        columns = Grasps.of(grasps)
+        columns = with_rotations(Grasps.of(grasps), cloud, table, _POSING)
         faults = _faults(columns, cloud, 2.0, limits.max_range_m)
         usable = np.array([not fault for fault in faults], np.bool_)
         estimate = self.estimator.estimate(cloud, columns.take(usable), table)  # a useless cloud is named first
@@ -314,7 +354,7 @@ def place_and_size(cloud: Cloud) -> Float64:
     return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
 
 
-class History:
+class History(Summarised):
     """What the fingertips of one hand have read so far, of whatever object. Use it in one thread at a time.
 
     Readings are compared with the predictions of one model, and the differences are fed to a `SensorTracker`. Another
@@ -349,6 +389,16 @@ class History:
         self.stamp_ns: int | None = None
         self.same_object: bool | None = None
         self.tdc: Float64 | None = None
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        evidence = self.evidence
+        ages = {"touch": evidence.touch_age_s, "reading": evidence.reading_age_s}
+        return f"{counted(evidence.readings, 'reading')}, {self.touches} of the object", {
+            "model": briefly(self.model),
+            "reference": self.reference,
+            "last": names_of([f"{name} {age:.0f} s ago" for name, age in ages.items() if age is not None]),
+            "restarted": names_of([f"{finger} {count}" for finger, count in self.restarts.items()]),
+        }
 
     @property
     def touches(self) -> int:
@@ -613,6 +663,8 @@ def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: fl
     """Return why no hand can execute each grasp; "" where one can."""
     return joined_faults(
         contact_faults(grasps.g1, grasps.g2, grasps.rotation),
+        fault_texts(~are_absent(grasps.rotation), lambda _: _NO_ROTATION),
         rotation_faults(grasps.rotation),
         reach_faults(grasps, cloud.xyz, max_width_m, max_distance_m),
+        closing_faults(grasps),
     )

@@ -24,7 +24,7 @@ from foretouch.dataset.identity import id_number, numbered_id
 from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
-from foretouch.files import file_sha256
+from foretouch.files import file_sha256, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, with_sensor
@@ -60,6 +60,7 @@ class StoreWriter:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             self._folder = stack.enter_context(new_folder(self.path))
+            stack.enter_context(system_errors(self.path, "cannot be written"))
             self._folder.mkdir()
             self._open = stack.pop_all()
         return self

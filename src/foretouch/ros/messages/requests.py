@@ -17,12 +17,13 @@ from foretouch.cloud.messages import decode_objects
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, GraspError, LimitError
 from foretouch.grasp import Obstacles
 from foretouch.grasp.messages import STATUSES, decode_grasp, has_orientation
-from foretouch.grasp.pose import joined_faults, rotation_faults
+from foretouch.grasp.pose import joined_faults
 from foretouch.ros.messages.conversions import obstacles_from_msg, plane_from_msg
 from foretouch.ros.messages.placement import Placement, moved_grasp
 from foretouch.types import ASSUMED_TABLE, Float64, Grasp, Grasps, Plane, assumed_table
 from foretouch.types.arrays import Bool, objects
 from foretouch.types.grasps import contact_faults
+from foretouch.types.rotations import rotation_faults
 from foretouch.types.scene import Object
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane
@@ -104,10 +105,10 @@ class RequestedGrasps:
         turned = rotations.reshape(-1, 3, 3) if given else np.tile(np.eye(3), (count, 1, 1))
         g1, g2 = contacts.reshape(-1, 2, 3).swapaxes(0, 1)
         names = [f"{request.id}/{k}" if request.id else "" for k in range(count)]
+        faults = joined_faults(contact_faults(g1, g2, turned), rotation_faults(turned))
+        turned[[bool(fault) for fault in faults]] = np.nan  # what is no rotation
         grasps = Grasps(g1, g2, turned, id=objects(names), object_id=objects([request.object_id] * count))
-        return cls(
-            grasps, np.full(count, given), joined_faults(contact_faults(g1, g2, turned), rotation_faults(turned))
-        )
+        return cls(grasps, np.full(count, given), faults)
 
     def moved(self, pose: Float64 | None) -> "RequestedGrasps":
         """Return the same grasps in another frame, in which `pose` (4, 4) is the frame of these; None changes nothing."""

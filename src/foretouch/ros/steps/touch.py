@@ -114,7 +114,9 @@ class TouchStep(Step):
             grasps: The message of the grasps.
             targets: The objects of their cloud.
         """
-        answer.flags += tuple(flag for flag in (AMBIGUOUS_TARGET, SELECTED) if grasps.reason.startswith(flag))
+        stated = (flag for flag in (AMBIGUOUS_TARGET, SELECTED) if grasps.reason.startswith(flag))
+        own = {flag for flags in answer.predictions.flags for flag in flags}  # of an object that was segmented here
+        answer.flags += tuple(flag for flag in stated if flag not in own)
         self._touch.publish(answer.placed(targets.answered_in).message)
         if self.adapter is not None:
             self.adapter.add_grasps(targets, grasps.grasps)
