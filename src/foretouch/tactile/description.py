@@ -24,6 +24,7 @@ from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.layout import MOST_TAXELS, ArrayConfig, Layout, present, read_layout, require_length
 from foretouch.types import Bool, Index
 from foretouch.types.channels import LARGEST, Channel, Channels
+from foretouch.types.summary import Summarised
 
 STAMP_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 """Nanoseconds of each unit of a stamp that is a number."""
@@ -180,12 +181,21 @@ class SensorConfig(Settings):
         return [known[name] for name in chosen]
 
 
-@dataclass(frozen=True, eq=False)
-class Sensor:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensor(Summarised):
     """A description and its taxels."""
 
     config: SensorConfig
     layout: Layout
+
+    def _summary(self) -> tuple[str, Mapping[str, Any]]:
+        title, facts = self.channels._summary()  # noqa: SLF001  which a sensor adds to
+        return title, {
+            **facts,
+            "taxels": f"{self.size} on a finger",
+            "dead": ", ".join(self.dead),
+            "sha256": self.sha256[:16],
+        }
 
     @property
     def size(self) -> int:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Types of arrays, and classes whose fields are columns: arrays with one row for each of K things."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
 from dataclasses import replace as replace_fields
 from functools import cache
@@ -46,6 +47,17 @@ def numbers(value: npt.ArrayLike, name: str, fault: type[ForetouchError]) -> Flo
         raise fault(f"{name}: {shown(value)} is not of numbers") from None
 
 
+def plain(value: Any) -> Any:
+    """Return arrays, tuples and mappings as JSON types; numbers that are not finite become None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def objects(rows: Sequence[Any] | AnyArray) -> Objects:
     """Return a (K,) column of texts, tuples or other values."""
     return np.fromiter(rows, object, len(rows))
@@ -85,7 +97,7 @@ class Columns:
                 value = _array(value, dtype, count, row)
                 shape = value.shape
                 fits = bool(shape) and _fits(shape[1:], row)
-            count = max(count, shape[0] if shape else -1)
+            count = shape[0] if count < 0 and shape else count
             if not fits or shape[0] != count:
                 wanted = ", ".join(str(size or "D") for size in (max(count, 0), *row))
                 raise self.fault(f"{name}: shape {shape} is not ({wanted}{'' if row else ','})")

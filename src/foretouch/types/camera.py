@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError, quoted
 from foretouch.kernels import Kernel, struct
+from foretouch.types.summary import Summarised
 
 _Float32 = npt.NDArray[np.float32]
 _Float64 = npt.NDArray[np.float64]
@@ -37,8 +38,8 @@ _NEAREST_M, _FARTHEST_M = 0.02, 100.0  # between them is the middle depth of any
 _SAMPLED: Final = 4096  # pixels of which the middle depth is taken
 
 
-@dataclass(frozen=True)
-class CameraModel:
+@dataclass(frozen=True, repr=False)
+class CameraModel(Summarised):
     """A pinhole camera with OpenCV's distortion, as in a `sensor_msgs/CameraInfo`.
 
     Args:
@@ -86,6 +87,11 @@ class CameraModel:
                     f"K: {name} {focal:g} px sees {degrees:.3g} degrees on {side} px: is it in pixels of this image?"
                 )
         object.__setattr__(self, "distortion", _coefficients(self.distortion))
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        lens = f", distortion {list(self.distortion)}" if self.distortion else ""
+        numbers = (f"{name} {getattr(self, name):g}" for name in ("fx", "fy", "cx", "cy"))
+        return f"{self.width} x {self.height} px, {', '.join(numbers)}{lens}", {}
 
     @classmethod
     def of(cls, K: npt.ArrayLike, width: int, height: int, distortion: Any = None) -> Self:  # noqa: N803
