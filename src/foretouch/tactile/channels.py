@@ -145,6 +145,12 @@ class TactileRanges(Settings):
 
 P2_RANGES: Final = TactileRanges()  # found empirically for the sensors of P2 (section III-C)
 
+
+def usual_ranges(channels: Channels) -> Ranges:
+    """Return the ranges of a sensor's readings: of the BioTac SP those of P2, of another those of its description."""
+    return P2_RANGES.ranges if channels == BIOTAC else Ranges.of_sensor(channels)
+
+
 #: P1's public code divides the labels by these numbers.
 P1_RANGES: Final = TactileRanges(pdc_th=(0.0, 3100.0), pdc_mf=(0.0, 2000.0), e_th=(0.0, 3500.0), e_mf=(0.0, 3800.0))
 
