@@ -267,6 +267,11 @@ class Plane(Summarised):
         """The same plane, its normal on the side of the origin, where the camera is."""
         return replace(self, normal=-self.normal, offset=-self.offset) if self.offset < 0.0 else self
 
+    def moved(self, pose: Float64) -> "Plane":
+        """Return the same plane in another frame, in which `pose` (4, 4) is the frame of this one."""
+        normal = pose[:3, :3] @ self.normal
+        return replace(self, normal=normal, offset=self.offset - float(normal @ pose[:3, 3]))
+
     def height(self, xyz: Floating) -> Floating:
         """Compute the distance of points from the plane.
 
@@ -283,11 +288,19 @@ ASSUMED_TABLE = Plane(np.array([0.0, 0.0, 1.0]), -1.27, assumed=True)
 """The table of a cloud that holds only an object: seen from straight above, as in the public recordings."""
 
 
-def assumed_table(cloud: Cloud) -> Plane:
-    """Return the table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point."""
-    depths = cloud.xyz[..., 2]
-    depths = depths[np.isfinite(depths)]
-    return replace(ASSUMED_TABLE, offset=-float(depths.max())) if depths.size else ASSUMED_TABLE
+def assumed_table(cloud: Cloud, up: Float64 | None = None) -> Plane:
+    """Return the table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point.
+
+    Args:
+        cloud: Of the object.
+        up: (3,) float64 of unit length in its frame, where it is known what is up; then through the lowest point.
+    """
+    points = cloud.finite.astype(np.float64)
+    if not len(points):
+        return ASSUMED_TABLE
+    if up is not None:
+        return Plane(up, -float((points @ up).min()))
+    return replace(ASSUMED_TABLE, offset=-float(points[:, 2].max()))
 
 
 NO_CLOUD = Cloud(np.empty((0, 3), np.float32))

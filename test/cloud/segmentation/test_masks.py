@@ -112,13 +112,16 @@ def test_255_labels_are_255_objects_or_named(cloud, labels):
 @pytest.mark.real_data
 def test_real_images_have_as_many_objects_as_labels_and_grasps_only_on_them(real_data: Path):
     images = sorted((real_data / "real_scenes").glob("*.npz"))
-    assert len(images) == 18
+    assert len(images) == 27
     pipeline = Pipeline(PipelineConfig.from_mapping({"target": {"mode": "all", "max_objects": 100}}))
 
     def check(path: Path) -> None:
         with np.load(path) as image:
             cloud, mask = Cloud.from_depth(image["depth_mm"], image["K"]), image["label"]
         scene = pipeline.segment(cloud, mask=mask)
+        if scene.status == "doubtful_plane":  # a pile without floor
+            doubtful.append(path)
+            return
         assert {object_.id for object_ in scene.objects} == {str(label) for label in np.unique(mask[mask > 0])}
         for target in scene.targets:
             assert (mask.ravel()[target.pixels] == int(target.id)).all()
@@ -127,4 +130,6 @@ def test_real_images_have_as_many_objects_as_labels_and_grasps_only_on_them(real
                 assert away < 0.08
                 assert grasp.object_id == target.id
 
+    doubtful: list[Path] = []
     every_case([(path,) for path in images], check)
+    assert len(doubtful) <= 1

@@ -47,7 +47,7 @@ def segment_mask(cloud: Cloud, mask: npt.ArrayLike, config: SegmentationConfig) 
     counts = rest.counts | dict.fromkeys(("mask_no_depth", "mask_table", "mask_apart", "mask_rejected"), 0)
     counts |= {"mask": int(np.count_nonzero(masked)), "n_rejected": 0, "objects": 0}
     empty = replace(rest, cloud=cloud, objects=(), labels=np.zeros_like(labels), counts=counts)
-    if rest.table is None:
+    if rest.table is None or rest.status == "doubtful_plane":
         return replace(empty, reason=f"{rest.reason} (in the image without the mask)")
     depth = in_range(cloud.xyz[..., 2], config.crop) & np.isfinite(cloud.xyz).all(axis=2)
     above = _above(cloud.xyz, depth & ~masked, rest.table, config.clusters.min_height_m)
