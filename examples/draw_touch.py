@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw the first two grasps of the demo: an object as the model knows some, and one as it does not, predicted beside read.
+"""Draw what two touches teach: one grasp of each object of a scene, predicted before and after them, beside what is read.
 
 Usage: python examples/draw_touch.py [SCENE.yaml [PICTURE.png]]
 """
 
 import sys
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 from PIL import Image
 
+from foretouch import History, Sample, TouchModel, load_model
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
 from foretouch_lab.simulation.scene import load_scene
@@ -17,29 +19,50 @@ from foretouch_lab.simulation.scene_camera import FrameMaker
 from foretouch_lab.simulation.simulate import Simulation
 
 ROOT = Path(__file__).parents[1]
-OBJECTS = 2
+TOUCHES = 2  # before the grasp that is drawn
+SAMPLES = 10  # of the scene
 COLOURS = 128
 
 
-def main(scene_path: str = str(ROOT / "config" / "scenes" / "demo.yaml"), picture: str = "touch.png") -> None:
-    """Grasp each object of the scene once."""
-    scene, pipeline = load_scene(scene_path), Pipeline()
-    frames = FrameMaker(scene)
+def grasp_before_and_after(model: TouchModel, samples: list[Sample], frames: FrameMaker) -> list[DrawnGrasp]:
+    """Predict the last of some grasps of one object without the touches before it, and with them."""
+    *earlier, last = samples
+    slot, attempt = (int(last.extra[name]) for name in ("slot", "attempt"))
+    scene = frames.frame(slot, attempt).cloud()
+    target = replace(Pipeline().segment(scene).targets[0], id=last.object)
     drawn = []
-    for slot, sample in enumerate(Simulation(scene).samples(OBJECTS, workers=1)):
-        cloud = frames.frame(slot).cloud()
-        target = replace(pipeline.segment(cloud).targets[0], id=sample.object)
-        (prediction,) = pipeline.predict(target, [sample.grasp], tare=sample.tare)
-        known = "does not know any such object (unfamiliar)" if prediction.flags else "knows such objects"
-        title = (
-            f"{sample.object}: {pipeline.model.name} {known}; readings of a simulated hand, on which it was not trained"
-        )
+    for touched in ([], earlier):
+        history = History(model)
+        for sample in touched:
+            history.tare(sample.tare, stamp_ns=sample.stamp_ns)
+            history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=True)
+        history.tare(last.tare, stamp_ns=last.stamp_ns)
+        (prediction,) = history.predict(target, [last.grasp], stamp_ns=last.stamp_ns, same_object=bool(touched))
+        known = "unfamiliar" if "unfamiliar" in prediction.flags else "familiar"
+        when = f"after {len(touched)} touches" if touched else "before the first touch"
+        title = f"{last.object} ({known} to the model {model.name}), {when}"
         drawn.append(
-            DrawnGrasp(
-                target=target, prediction=prediction, scene=cloud, rest=sample.tare, read=sample.touch, title=title
-            )
+            DrawnGrasp(prediction=prediction, target=target, scene=scene, rest=last.tare, read=last.touch, title=title)
         )
-    path = save_touch_picture(picture, drawn)
+    return drawn
+
+
+def grasps_to_draw(scene_path: str | Path) -> list[DrawnGrasp]:
+    """Predict a grasp of each object of a scene before and after the touches, by the model of the simulated hand."""
+    scene, model = load_scene(scene_path), load_model("simulated")
+    frames, samples = FrameMaker(scene), list(Simulation(scene).samples(SAMPLES, workers=1))
+    visits = [list(visit) for _, visit in groupby(samples, key=lambda sample: sample.object)]
+    return [
+        row
+        for visit in visits
+        if len(visit) > TOUCHES
+        for row in grasp_before_and_after(model, visit[: TOUCHES + 1], frames)
+    ]
+
+
+def main(scene_path: str = str(ROOT / "config" / "scenes" / "demo.yaml"), picture: str = "touch.png") -> None:
+    """Draw the picture."""
+    path = save_touch_picture(picture, grasps_to_draw(scene_path))
     Image.open(path).convert("RGB").quantize(COLOURS).save(path, optimize=True)  # a third of the size
     print(path)
 

@@ -11,6 +11,7 @@ from foretouch.types import Cloud, Grasp, Sample
 from foretouch_lab.experiments import Row, find_experiment
 from foretouch_lab.learning.data import Dataset
 
+_ALONG_X = np.eye(3)[:, [1, 2, 0]]  # Z, the third column, runs from g2 to g1
 OBJECTS = ("campbells", "cheezit", "coffee", "pringles", "rugby", "spam", "train", "wood")
 
 
@@ -30,7 +31,7 @@ def _sample(rng: np.random.Generator, name: str, place: int, number: int) -> Sam
     size = np.array([0.05, 0.08, 0.1])
     xyz = rng.uniform(-0.5, 0.5, (90, 3)) * size + [0.0, 0.0, 1.2]
     along = rng.uniform(-0.4, 0.4) * size[1]
-    grasp = Grasp(np.array([size[0] / 2, along, 1.2]), np.array([-size[0] / 2, along, 1.2]), np.eye(3))
+    grasp = Grasp(np.array([size[0] / 2, along, 1.2]), np.array([-size[0] / 2, along, 1.2]), _ALONG_X)
     offset = 20.0 * (place % 3) + number
     touch = biotac_touch(
         np.hstack(

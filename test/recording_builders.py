@@ -45,6 +45,7 @@ def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: b
     rng = np.random.default_rng([number, points])
     xyz = (0.03 * rng.normal(size=(points, 3)) + [0.0, 0.0, 1.0]).astype(np.float32)
     rgb = rng.integers(0, 256, (points, 3), dtype=np.uint8)
+    g1, g2 = xyz[:2].astype(float)
     length = 6
     series = TouchSeries(
         stamps_ns=np.array([0, 10, 20, 20, 30, 40], np.int64) + 1_700_000_000_000_000_000 + number,
@@ -57,7 +58,7 @@ def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: b
         id="",
         object=name,
         cloud=cloud,
-        grasp=Grasp(xyz[0].astype(float), xyz[1].astype(float), np.eye(3), 0.1 * number, f"grasp-{number}", name),
+        grasp=Grasp(g1, g2, hand_rotation(g1, g2, np.array([0.0, 1.0, 0.0])), 0.1 * number, f"grasp-{number}", name),
         touch=touch(rng) if labelled else None,
         tare=touch(rng) if labelled else None,
         stamp_ns=1_700_000_001_000_000_000 * 1 + 7_000_000_000 * number,

@@ -152,8 +152,18 @@ IMPORT_NAMES = {  # of distributions whose modules are named otherwise
     "rerun-sdk": "rerun",
     "foxglove-sdk": "foxglove",
 }
-NOT_IN_ROSDEP = {"safetensors", "embreex", "mcap", "pyarrow", "rosbags", "threadpoolctl", "trimesh", "lzf"}
-OPTIONAL = ("lab", "sim", "hdf5", "camera", "sweep", "open3d", "view", "serve")
+NOT_IN_ROSDEP = {
+    "safetensors",
+    "embreex",
+    "lazy_loader",
+    "mcap",
+    "pyarrow",
+    "rosbags",
+    "threadpoolctl",
+    "trimesh",
+    "lzf",
+}
+OPTIONAL = ("lab", "sim", "hdf5", "tables", "camera", "sweep", "open3d", "view", "serve")
 ONLY_IN_FULL_ROS = {"sr_robot_msgs"}
 COMES_WITH = {"mpl_toolkits": "matplotlib"}
 

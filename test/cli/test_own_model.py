@@ -12,6 +12,7 @@ from recording_builders import IDENTITY, QUICK
 from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.grasp.pose import hand_rotation
+from foretouch.models.predictor import UNFAMILIAR_CURE
 from foretouch.models.registry import load_model
 
 QUICKLY = "contact.trees=3"
@@ -59,3 +60,15 @@ def test_datasets_of_two_hands_are_joined_with_a_warning(tmp_path: Path, call) -
     assert f"{tmp_path / 'other'}: is of another hand than {tmp_path / 'one'}" in done.err
     assert "serial 99, not 1234" in done.err
     assert "another hand" not in call("dataset", "build", tmp_path / "one", "-o", tmp_path / "again").err
+
+
+def test_an_unfamiliar_object_is_told_with_what_to_do_once_after_all_tables(call) -> None:
+    data = Path(__file__).parents[2] / "examples" / "data"
+    strange = call("predict", data / "table.npz").out
+    *_, last = strange.splitlines()
+    assert last == UNFAMILIAR_CURE
+    assert strange.count(UNFAMILIAR_CURE) == 1 < strange.count("smaller")
+    assert (Path(__file__).parents[2] / UNFAMILIAR_CURE.rpartition(" ")[2]).is_file()
+    known = call("predict", data / "can.ply").out
+    assert "unfamiliar" not in known
+    assert "cloud only" in known

@@ -134,7 +134,7 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -
         (wanted,) = core.predict(sample.cloud, [sample.grasp], history=read)
         assert_reported(results[sample.id]["predictions"][0], wanted)
         assert (wanted.reference, results[sample.id]["touched"]) == ("touches", 4)
-    assert "touches 4" in call("predict", session, "--model", model, "--touched", session).out
+    assert "4 touches" in call("predict", session, "--model", model, "--touched", session).out
 
 
 def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path) -> None:

@@ -13,8 +13,9 @@ from seen_solids import Camera, box
 from foretouch.config import load_yaml
 from foretouch.errors import ConfigError
 from foretouch.grasp import GeoGraspConfig, HandConfig, Obstacles, plan_grasps
-from foretouch.grasp.hand import TILTS, Hand, HandDescription, hand_files, load_hand
+from foretouch.grasp.hand import Hand, HandDescription, hand_files, load_hand
 from foretouch.types import Float64, Grasps
+from foretouch.types.grasps import TILTS
 
 CONFIG = GeoGraspConfig()
 LOW, TALL = box(0.06, 0.09, 0.05), box(0.05, 0.08, 0.15)
@@ -153,9 +154,14 @@ def test_a_tall_box_is_taken_from_above_near_its_top() -> None:
 
 
 def test_the_thumb_takes_the_contact_that_is_asked_for() -> None:
+    """Whichever hand it is; without a wish, two fingertips have the thumb at g1, too, as the pictures show."""
     cloud, table = Camera(50.0).see(LOW), Camera(50.0).table()
-    for name in ("g1", "g2"):
-        hand = HandConfig(name="shadow_thumb_middle", thumb_at=name)
+    way = plan_grasps(cloud, table, CONFIG).grasps[0].way
+    assert way is not None
+    assert way.thumb_at == "g1"
+
+    def check(name: str, described: str) -> None:
+        hand = HandConfig(name=described, thumb_at=name)
         plan = plan_grasps(cloud, table, CONFIG, hand=hand)
         grasp = plan.grasps[0]
         assert grasp.way is not None
@@ -163,6 +169,57 @@ def test_the_thumb_takes_the_contact_that_is_asked_for() -> None:
         assert (grasp.g1[0] < grasp.g2[0]) == (name == "g1")  # left in the image, or right
         np.testing.assert_allclose(grasp.way.pose_of_hand @ np.linalg.inv(load_hand(hand.name).at(grasp.width_m).tool)
                                    @ [grasp.width_m / 2.0, 0.0, 0.0, 1.0], [*grasp.g1, 1.0], atol=1e-9)  # fmt: skip
+
+    every_case([(side, described) for side in ("g1", "g2") for described in hand_files()], check)
+
+
+def _inside_boxes(points: Float64, corners: Float64) -> bool:
+    """Whether any of (N, 3) points is in one of the boxes with (B, 8, 3) corners."""
+    for box_corners in corners:
+        edges = box_corners[[4, 2, 1]] - box_corners[0]
+        places = (points - box_corners[0]) @ edges.T / (edges * edges).sum(axis=1)
+        if ((places > 0.0) & (places < 1.0)).all(axis=1).any():
+            return True
+    return False
+
+
+def test_an_arm_that_turns_to_an_angle_said_to_be_free_meets_nothing() -> None:
+    """A wall on one side of the box: at every free angle of `approaches` the boxes of the opened hand hold no point of box or wall."""
+    camera = Camera(60.0)
+    cloud, table = camera.see(LOW), camera.table()
+    across, up = np.linspace(-0.25, 0.25, 101), np.linspace(0.005, 0.35, 70)
+    around_m = np.concatenate([np.stack(np.meshgrid(across, [y], up), axis=-1).reshape(-1, 3) for y in (0.11, 0.12)])
+    wall = camera.to_camera(around_m)
+    around = Obstacles(wall.astype(np.float32), np.full(len(wall), 7, np.int32))
+    points = np.concatenate([cloud.finite.astype(np.float64), wall])
+    upwards = np.asarray(table.normal) * -np.sign(np.asarray(table.normal) @ points[0])
+
+    def check(name: str, thumb_at: str) -> None:
+        hand = load_hand(name)
+        plan = plan_grasps(cloud, table, CONFIG, hand=HandConfig(name=name, thumb_at=thumb_at), obstacles=around)
+        assert plan.status == "ok", plan.reason
+        grasp = plan.grasps[0]
+        assert grasp.way is not None
+        line = (grasp.g2 - grasp.g1) / grasp.width_m
+        beside = np.cross(upwards, line)
+        found = {True: 0, False: 0}
+        for thumb, towards in enumerate((-line, line)):  # from the middle to g1, and to g2
+            for tilt, clear_m in zip(TILTS, grasp.way.approaches[thumb], strict=True):
+                z = -(np.sin(tilt) * beside + np.cos(tilt) * upwards)
+                frame = np.stack([towards, np.cross(z, towards), z], axis=1)
+                free = bool(clear_m >= 0.0)
+                found[free] += 1
+                met = _inside_boxes((points - grasp.midpoint) @ frame, hand.opened(grasp.width_m))
+                assert not (free and met), (
+                    f"thumb at g{thumb + 1}, {np.degrees(tilt):g} degrees: {1e3 * clear_m:.0f} mm"
+                )
+        chosen = grasp.way.approaches[0] if grasp.way.thumb_at == "g1" else grasp.way.approaches[1]
+        angle = np.degrees(np.arctan2(-grasp.way.approach @ beside, -grasp.way.approach @ upwards))
+        assert chosen[np.abs(np.degrees(TILTS) - angle).argmin()] > -0.003  # where the hand was planned to come from
+        assert hand.limits_depth == bool(found[False])
+        assert found[True]
+
+    every_case([(name, side) for name in hand_files() for side in ("g1", "g2")], check)
 
 
 def test_no_way_in_is_counted_and_named() -> None:

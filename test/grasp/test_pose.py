@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
-from every_case import every_refusal
+from every_case import every_case, every_refusal
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from foretouch.errors import GraspError
-from foretouch.grasp.pose import closing_faults, hand_rotation, is_parallel, quaternion_xyzw, rotation_faults
+from foretouch.grasp.pose import closing_faults, hand_rotation, is_parallel
 from foretouch.types import Grasp, Grasps
+from foretouch.types.rotations import are_rotations, is_rotation, quaternion_xyzw, rotation_faults
 
 X, Y, Z = np.eye(3)
 vectors = st.tuples(*[st.floats(-1.0, 1.0, allow_subnormal=False)] * 3).map(np.array)
@@ -41,7 +42,32 @@ def test_a_hand_must_close_along_its_contacts_within_thirty_degrees():
         turned = Rotation.from_rotvec(np.radians(angle_deg) * Y).as_matrix()  # its Z leaves that of the camera
         grasp = Grasp(0.03 * Z, -0.03 * Z, turned)
         expected = "" if angle_deg < 30.0 else f"pose: its Z is {angle_deg:.0f} degrees from g1 - g2, more than 30"
-        assert closing_faults(Grasps.of([grasp])) == [expected]
+        (fault,) = closing_faults(Grasps.of([grasp]))
+        assert fault.split(";")[0] == expected
+
+
+def test_a_rotation_of_another_convention_is_told_which_column_is_which():
+    """Columns as GraspNet orders them, exchanged contacts, rows for columns, and what resembles none of these."""
+    g1, g2 = np.array([0.03, 0.01, 0.9]), np.array([-0.03, 0.0, 0.91])
+    rotation = hand_rotation(g1, g2, np.array([0.1, 0.5, 1.0]))
+    x, y, z = rotation.T
+    cases = {
+        "approach first": (np.column_stack([-x, z, y]), "the second column is along it"),
+        "line first": (np.column_stack([z, x, y]), "the first column is along it"),
+        "exchanged": (np.column_stack([x, -y, -z]), "g1 and g2 are exchanged"),
+        "rows": (rotation.T, "the third row is along it"),
+        "neither": (
+            rotation @ Rotation.from_rotvec(0.9 * (X + Y) / np.sqrt(2.0)).as_matrix(),
+            "more than 30; the columns are X, Y, Z",
+        ),
+    }
+
+    def check(turned: np.ndarray, cure: str) -> None:
+        (fault,) = closing_faults(Grasps.of([Grasp(g1, g2, turned)]))
+        assert "degrees from g1 - g2" in fault
+        assert cure in fault
+
+    every_case(cases, check)
 
 
 def test_what_has_no_pose_is_refused():
@@ -86,3 +112,16 @@ def test_lengths_whose_squares_are_out_of_range_have_the_same_rotation():
         np.testing.assert_allclose(hand_rotation(scale * g1, np.zeros(3), axis), expected, rtol=0.0, atol=1e-15)
         assert not is_parallel(scale * g1, np.zeros(3), axis)
     np.testing.assert_allclose(hand_rotation(g1, np.zeros(3), 1e-155 * axis), expected, rtol=0.0, atol=1e-15)
+
+
+def test_one_matrix_is_judged_as_many_are() -> None:
+    rng = np.random.default_rng(0)
+    turned = np.linalg.qr(rng.normal(size=(400, 3, 3)))[0]  # half of them left-handed
+    near = turned + rng.normal(size=turned.shape) * np.geomspace(1e-5, 0.1, 400)[:, None, None]
+    odd = np.stack(
+        [np.zeros((3, 3)), np.ones((3, 3)), np.full((3, 3), np.nan), np.full((3, 3), 1e200), 1.001 * np.eye(3)]
+    )
+    matrices = np.concatenate([turned, near, odd])
+    judged = are_rotations(matrices)
+    assert [is_rotation(matrix) for matrix in matrices] == judged.tolist()
+    assert 0.1 < judged.mean() < 0.9

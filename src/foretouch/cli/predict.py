@@ -16,19 +16,20 @@ import numpy as np
 
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
-from foretouch.cli.answers import contacts_text, modality_text, prediction_record
-from foretouch.cli.output import print_json, print_table
+from foretouch.cli.answers import contacts_text, modality_text
+from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import needs_laboratory
-from foretouch.models.equal_pressure import flag_equal_pressures
+from foretouch.models.predictor import UNFAMILIAR_CURE
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import Pipeline
 from foretouch.tactile import BIOTAC
 from foretouch.types import Grasp, Prediction, Reference, Touch
 from foretouch.types.channels import Channels
+from foretouch.types.predictions import evidence_text
 from foretouch.types.scene import Object
 
 
@@ -61,7 +62,13 @@ def run(arguments: argparse.Namespace) -> int:
     pipeline = Pipeline(inputs.pipeline_config(arguments, defaults=defaults))
     adaptation = read_adaptation(arguments, pipeline.model)
     answer = partial(_answer, arguments, pipeline, adaptation)
-    return inputs.process_inputs(arguments, answer, partial(_show, channels=pipeline.model.sensor.channels))
+    flags: set[str] = set()
+    status = inputs.process_inputs(
+        arguments, answer, partial(_show, channels=pipeline.model.sensor.channels, flags=flags)
+    )
+    if "unfamiliar" in flags:
+        print_text(UNFAMILIAR_CURE)
+    return status
 
 
 def _answer(
@@ -83,7 +90,6 @@ def _answer(
             grasps, reason = [], str(err)
         planned = time.perf_counter()
         predictions = adaptation.predict(pipeline, target, grasps, item.sample)
-        predictions = flag_equal_pressures(predictions, pipeline.model)
         ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
         refused = predictions.reason[~predictions.ok].tolist()
         if number == 0:
@@ -94,7 +100,7 @@ def _answer(
             **({"selected": selected} if selected else {}),
             "status": "ok" if predictions and not refused else "refused",
             "reason": "; ".join(refused) or reason,
-            "predictions": [prediction_record(prediction) for prediction in predictions],
+            "predictions": predictions.to_dict()["predictions"],
             "model": _named(pipeline.model),
             "touched": len(others(adaptation.touched, item.sample)),
             "ms": {**ms, "total": sum(ms.values())},
@@ -106,9 +112,10 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
     with needs_laboratory("--prequential"):
         from foretouch_lab.learning.prequential import replay_model
-    for name in ("tare", "touched", "grasp", "mask", "picture", "plane", "scene", "target", "hand", "pixel", "point"):
-        if getattr(arguments, name):
-            raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
+    unused = {*inputs.READ, *inputs.PLANNED, *inputs.CHOSEN, "--tare", "--touched", "--grasp"} - {"inputs"}
+    for option in sorted(unused):
+        if getattr(arguments, option.removeprefix("--").replace("-", "_")):
+            raise ConfigError(f"{option}: cannot be combined with --prequential")
 
     model = load_model(arguments.model) if arguments.model else load_model()
     channels = model.sensor.channels
@@ -132,14 +139,14 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
             "object": sample.object,
             "status": "ok",
             "reason": "",
-            "predictions": [prediction_record(predicted)],
+            "predictions": [predicted.to_dict()],
             "model": _named(model),
             "touched": evidence.touches,
             "history": evidence.readings,
             "history_age_s": evidence.reading_age_s,
             "restarted": list(done.played.restarted[k]),
         }
-        (print_json if arguments.json else partial(_show, channels=channels))(record)
+        (print_json if arguments.json else partial(_show, channels=channels, flags=set()))(record)
     return 0
 
 
@@ -151,6 +158,8 @@ def _grasps(
         pairs = np.array(arguments.grasp, dtype=np.float64).reshape(-1, 2, 3)
         return [pipeline.grasp_between(target, g1, g2) for g1, g2 in pairs], ""
     if item.sample is not None:
+        if arguments.hand:
+            raise ConfigError("--hand: is for planned grasps, and a sample has its own")
         return [item.sample.grasp], ""
     plan = pipeline.plan(target)
     if not plan.grasps:
@@ -166,11 +175,13 @@ def _named(model: TouchModel) -> inputs.Record:
     return {"name": model.name, "sha256": model.sha256, **sensor, **dead}
 
 
-def _show(record: dict[str, Any], *, channels: Channels) -> None:
+def _show(record: dict[str, Any], *, channels: Channels, flags: set[str]) -> None:
+    """Print the predictions of a record as a table, and add their flags to `flags`."""
     rows, contacts = [], []
     for number, prediction in enumerate(record["predictions"], 1):
-        counts = {"touches": f" {record['touched']}", "history": f" {prediction['evidence']['readings']}"}
-        reference = f"{prediction['reference']}{counts.get(prediction['reference'], '')}"
+        flags.update(prediction["flags"])
+        evidence = prediction["evidence"]
+        reference = evidence_text(prediction["reference"], evidence["touches"], evidence["readings"])
         contacts.append(f"\ngrasp {number}: {contacts_text(prediction['grasp'])}")
         rows.append([
             str(number),

@@ -27,10 +27,11 @@ from foretouch.cloud.geometry.pcl_filters import cell_means, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import HandConfig
 from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
-from foretouch.grasp.hand import TILTS, UNLIMITED_M
+from foretouch.grasp.hand import UNLIMITED_M
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel, struct
 from foretouch.types import Bool, Float32, Float64, Grasp, Int64, Plane, WayIn
+from foretouch.types.grasps import TILTS
 from foretouch.types.scene import Obstacles
 
 _closing_lines = Kernel("closing_lines")
@@ -65,7 +66,9 @@ _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of 
 _CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
 _LEAST_M, _MORE_M = -0.002, 0.004  # of clearance, below which a hand does not come, and above which more is of no use
 _SCARCE_DEG = 100.0  # of tilting that the least clearance is worth; half of it is worth a quarter
-_OTHER_THUMB_DEG = 80.0  # of tilting, for which the thumb takes g1 instead of g2
+_OTHER_THUMB_DEG = (
+    80.0  # of tilting, for which the thumb of a hand with a palm takes the contact on the left of the image
+)
 _OTHER_SIDE_DEG = 1.0  # of tilting, for which the palm comes from the other side
 _NEAR_DEG = 4.0  # of tilting, in which the weight of an angle beside the best falls by a factor of e
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
@@ -321,7 +324,7 @@ class CompletedObject:
             return None, bool((alone >= _LEAST_M).any())
         lack = np.maximum((_MORE_M - clearances) / (_MORE_M - _LEAST_M), 0.0) ** 2
         cost = np.abs(np.degrees(TILTS)) + _SCARCE_DEG * lack + _OTHER_SIDE_DEG * (TILTS < 0.0)
-        cost[0] += _OTHER_THUMB_DEG
+        cost[0 if self.has_palm else 1] += _OTHER_THUMB_DEG
         cost = np.where(allowed, cost, np.inf)
         thumb, best = np.unravel_index(np.argmin(cost), cost.shape)
         # Between the best angle and those next to it, so that noise does not decide.
@@ -406,7 +409,7 @@ def best_grasps(
 ) -> list[tuple[tuple[Float64, Float64], WayIn, float]]:
     """Choose lines to which the hand can come, best first; each differs from all better ones by a contact.
 
-    Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`. The contact of the thumb of a described hand
+    Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`. The contact of the thumb
     is g1, where touch models expect it.
 
     Args:
@@ -433,7 +436,7 @@ def best_grasps(
         if way is None:
             lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
         else:
-            if way.thumb_at == "g2" and completed.has_palm:
+            if way.thumb_at == "g2":
                 ends, way = ends[::-1], way.with_contacts_swapped()
             chosen.append((ends, way, float(lines.cost[angle, line])))
     return chosen

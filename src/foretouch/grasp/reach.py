@@ -1,17 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refuse grasps that no hand can execute: wider than it opens, or off the object."""
+"""Refuse grasps that no hand can execute: wider than it opens, or off the object; and flag those that meet nothing."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.grasp.pose import require_none
 from foretouch.types import Bool, Float64, Floating, Grasp, Grasps, Index
+from foretouch.types.rotations import require_none
 
 _SAMPLED = 256  # points tried first: one within reach is sufficient
 _TOGETHER = 16  # of them at a time, for many grasps
+_OFF_M = 0.02  # from the object and what it hides, where a contact is in the air; planned ones are nearer
+
+OFF_OBJECT: Final = "off_object"
+"""Flag of a grasp with a contact in the air: the camera sees that the object is not there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,14 +68,29 @@ def reach_faults(grasps: Grasps, cloud_xyz: Floating, max_width_m: float, max_di
         faults[k] = f"g1, g2: {width[k]:.4g} m apart, more than max_width_m {max_width_m:g}"
     points = cloud_xyz.reshape(-1, 3)
     for name, contacts in (("g1", grasps.g1), ("g2", grasps.g2)):
-        for k in _off(points, contacts, max_distance_m).tolist():
+        for k in _off(points, contacts, max_distance_m, _near).tolist():
             away = f"{_nearest_m(points, contacts[k]):.4g} m from the object"
             faults[k] = faults[k] or f"{name}: {away}, more than max_distance_m {max_distance_m:g}"
     return faults
 
 
-def _off(points: Floating, contacts: Float64, distance_m: float) -> Index:
-    """Return which of (K, 3) contacts have no point within a distance.
+def in_the_air(grasps: Grasps, cloud_xyz: Floating) -> Bool:
+    """Return (K,) which grasps have a contact more than 20 mm from the object and from all that it hides from the camera.
+
+    Args:
+        grasps: K grasps of finite contacts, in the frame of the camera.
+        cloud_xyz: (..., 3) floating [m], the object's points; those that are not finite are ignored.
+    """
+    points, found = cloud_xyz.reshape(-1, 3), np.zeros(len(grasps), np.bool_)
+    for contacts in (grasps.g1, grasps.g2):
+        found[_off(points, contacts, _OFF_M, _near_or_hidden)] = True
+    return found
+
+
+def _off(
+    points: Floating, contacts: Float64, distance_m: float, near: Callable[[Floating, Float64, float], Bool]
+) -> Index:
+    """Return which of (K, 3) contacts have no point within a distance, by a rule that says which have.
 
     A sample of the points is tried first, its middle one before the others: it is within reach of most contacts.
     """
@@ -78,10 +99,10 @@ def _off(points: Floating, contacts: Float64, distance_m: float) -> Index:
     parts = [few[middle : middle + 1], *(few[k : k + _TOGETHER] for k in range(0, len(few), _TOGETHER))]
     left = np.arange(len(contacts))
     for part in parts:
-        left = left[~_near(part, contacts[left], distance_m)]
+        left = left[~near(part, contacts[left], distance_m)]
         if not left.size:
             return left
-    return np.array([k for k in left.tolist() if not _near(points, contacts[k : k + 1], distance_m)[0]], np.intp)
+    return np.array([k for k in left.tolist() if not near(points, contacts[k : k + 1], distance_m)[0]], np.intp)
 
 
 def _near(points: Floating, contacts: Float64, distance_m: float) -> Bool:
@@ -89,6 +110,16 @@ def _near(points: Floating, contacts: Float64, distance_m: float) -> Bool:
     with np.errstate(over="ignore", invalid="ignore"):
         squares = ((contacts[:, None] - points) ** 2).sum(axis=2)
         return np.asarray((squares <= distance_m * distance_m).any(axis=1), np.bool_)
+
+
+def _near_or_hidden(points: Floating, contacts: Float64, distance_m: float) -> Bool:
+    """As `_near`, of any of (N, 3) points and of the rays behind them, as the camera at the origin sees them."""
+    with np.errstate(all="ignore"):
+        seen = points.astype(np.float64)
+        squares, dots = (seen * seen).sum(axis=1), contacts @ seen.T
+        along = np.maximum(dots / squares, 1.0)  # of the ray, where it is nearest to the contact
+        apart = (contacts * contacts).sum(axis=1)[:, None] + along * (along * squares - 2.0 * dots)
+        return np.asarray((apart <= distance_m * distance_m).any(axis=1), np.bool_)
 
 
 def _nearest_m(points: Floating, contact: Float64) -> float:

@@ -21,7 +21,6 @@ typedef struct {
     double below;        /* depth from which on the world is below the table [m] */
     double border;       /* share of an outline at the border of the image, from which on a part may be cut off */
     double foot;         /* height of a foot [m] */
-    double largest;      /* extent of an object [m] */
     double flat;         /* thickness of a wall [m] */
 } Parts;
 void find_background(const Parts *of, int64_t *reasons, uint8_t *cut, double *outline, int64_t *found);

@@ -6,18 +6,27 @@ interval of the difference of two grasps is .5 to 1.03 times as wide as the inte
 rule here is the rule of a difference, on the safe side, and can be checked from the bounds of the answer alone.
 """
 
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.calibration import Calibration
 from foretouch.tactile import Ranges
+from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Float64, Index, Predictions, Touch
 
 EQUAL_PRESSURE: Final = "equal_pressure"
 """Flag of grasps whose predicted pressure differs from the lowest of the request by less than the half width of its interval."""
+
+
+class Scaled(Protocol):
+    """What shows how hard a finger presses in a prediction: a `TouchModel`."""
+
+    sensor: Sensor
+    ranges: Ranges
+    calibration: Calibration | None
 
 
 def equal_groups(costs: ArrayLike, half: ArrayLike) -> Index:
@@ -37,19 +46,19 @@ def equal_groups(costs: ArrayLike, half: ArrayLike) -> Index:
     return groups
 
 
-def scale_of(model: TouchModel) -> tuple[Touch | None, Ranges]:
+def scale_of(model: Scaled) -> tuple[Touch | None, Ranges]:
     """Return the reading at rest of a model, if it has one, and the ranges that its predictions are shown in."""
     rest = None if model.calibration is None else Touch(model.calibration.rest, model.sensor.channels)
     return rest, model.ranges
 
 
-def predicted_pressures(predictions: Predictions, model: TouchModel) -> Float64:
+def predicted_pressures(predictions: Predictions, model: Scaled) -> Float64:
     """Return (3, K, F) how hard each finger presses in predictions of a model, and its bounds (see `TaxelView.pressures`); NaN for none."""
     rows = np.stack([predictions.value, predictions.lower, predictions.upper])
     return TaxelView(model.sensor).pressures(rows, *scale_of(model))
 
 
-def flag_equal_pressures(predictions: Predictions, model: TouchModel) -> Predictions:
+def flag_equal_pressures(predictions: Predictions, model: Scaled) -> Predictions:
     """Return the predictions for grasps on one object, with `EQUAL_PRESSURE` on each that cannot be ranked before another as the gentlest.
 
     The pressure is the mean of both fingers; models without intervals get no flag.

@@ -23,7 +23,7 @@ def make_sample(rng: np.random.Generator, name: str, number: int) -> Sample:
     size = rng.uniform(0.03, 0.09, 3)
     xyz = rng.uniform(-0.5, 0.5, (120, 3)) * size + [0.0, 0.0, 1.2]
     along = rng.uniform(-0.4, 0.4) * size[1]
-    grasp = Grasp(np.array([size[0] / 2, along, 1.2]), np.array([-size[0] / 2, along, 1.2]), np.eye(3))
+    grasp = Grasp(np.array([size[0] / 2, along, 1.2]), np.array([-size[0] / 2, along, 1.2]), np.eye(3)[:, [1, 2, 0]])
     touch = biotac_touch(
         np.hstack(
             [

@@ -123,7 +123,8 @@ class DirectHand(CanRobot):
         """The predictions for a cloud of now."""
         self.now += MS
         self.see(f"ask {self.now}")
-        return self.adapter.predict(self.cloud, self.planned, limits=self.config.limits, reach=self.config)
+        target = Object.of("7", self.cloud, ASSUMED_TABLE)
+        return self.adapter.predict(target, self.planned, limits=self.config.limits, reach=self.config)
 
     def reference(self):
         return self.ask()[0].reference
@@ -232,21 +233,21 @@ def test_a_touch_is_compared_on_the_table_of_its_cloud_however_many_came_since()
     hand = DirectHand(load_model("default"))
     up = np.array([0.0, -np.sin(np.radians(40.0)), -np.cos(np.radians(40.0))])
     table = Plane(up, -float(up @ [0.0, 0.0, 0.84]))
-    options = {"limits": hand.config.limits, "reach": hand.config, "table": table}
+    options = {"limits": hand.config.limits, "reach": hand.config}
     first, stamp = hand.look("good"), hand.now
     hand.adapter.add_grasps(Targets(first[0].header, (), lambda: first[0]), first[1])
-    hand.adapter.predict(hand.cloud, hand.planned, **options)
+    hand.adapter.predict(Object.of("7", hand.cloud, table), hand.planned, **options)
     touched = hand.cloud, hand.planned[0]
     for number in range(70):
         hand.now += MS
         later, grasps = hand.look(f"later {number}")
         hand.adapter.add_grasps(Targets(later.header, (), partial(lambda message: message, later)), grasps)
-        hand.adapter.predict(hand.cloud, [], **options)
+        hand.adapter.predict(Object.of("7", hand.cloud, table), [], **options)
     hand.see = lambda name: None  # the grasp is executed on the first cloud
     cut = hand.cut(hand.grasp("good", 0))
     history = History(hand.model)
     history.touched(Object.of("7", touched[0], table), touched[1], cut.touch, stamp_ns=hand.now)
-    found = hand.adapter.predict(hand.cloud, hand.planned, **options)
+    found = hand.adapter.predict(Object.of("7", hand.cloud, table), hand.planned, **options)
     assert hand.counts() == {"taken_in": 1}
     assert touched[0].stamp_ns == stamp
     read = history.snapshot(hand.now, same_object=True)

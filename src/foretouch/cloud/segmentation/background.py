@@ -37,7 +37,7 @@ class Background(NamedTuple):
 
 
 def find_background(
-    grid: CoarseGrid, windows: Sequence[Clusters], threshold: HeightThreshold, largest_m: float
+    grid: CoarseGrid, windows: Sequence[Clusters], threshold: HeightThreshold, *, hidden: bool = False
 ) -> Background:
     """Find why parts are background, and which the image cuts.
 
@@ -45,8 +45,11 @@ def find_background(
         grid: Coarse grid of the image.
         windows: Labelled windows of the image.
         threshold: The table, and the noise of the depth.
-        largest_m: Largest extent of an object [m].
+        hidden: The table is not seen: it has no outline, and nothing is background.
     """
+    if hidden:
+        count = 1 + sum(window.n_labels for window in windows)
+        return Background(np.zeros(count, np.int64), np.zeros(count, np.uint8), np.empty((0, 3)))
     (h, w), plane = grid.points.shape[:2], threshold.plane.coefficients
     labels, count = np.zeros((h, w), np.int32), 1
     for window in windows:
@@ -58,7 +61,7 @@ def find_background(
     background = Background(np.zeros(count, np.int64), np.zeros(count, np.uint8), np.empty((4 * h + 2, 3)))
     n_corners = np.empty(1, np.int64)
     image = {"grid": grid.points, "labels": labels, "h": h, "w": w, "n": count, "pitch": grid.pitch}
-    _find(struct("Parts", **image, plane=plane, noise=LOCAL_FACTOR * threshold.local_per_m, largest=largest_m, **_LIMITS), background.reasons, background.cut, background.outline, n_corners)
+    _find(struct("Parts", **image, plane=plane, noise=LOCAL_FACTOR * threshold.local_per_m, **_LIMITS), background.reasons, background.cut, background.outline, n_corners)
     if n_corners[0] < 0:
         raise MemoryError("find_background")
     return background._replace(outline=background.outline[: n_corners[0]])

@@ -11,11 +11,13 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.errors import CloudError, ModelError
-from foretouch.grasp import Obstacles, quaternion_xyzw
+from foretouch.grasp import Obstacles
 from foretouch.grasp.messages import REFERENCES, decode_predictions
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Prediction, WayIn
+from foretouch.types.predictions import evidence_text
+from foretouch.types.rotations import quaternion_xyzw
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
@@ -180,19 +182,3 @@ def reference_text(message: TouchPredictionMsg) -> str:
     """Describe what a prediction is based on: `cloud only`, `tare`, `3 touches`, `history of 40 readings`."""
     name = dict(enumerate(REFERENCES)).get(message.reference, f"reference {message.reference}")
     return evidence_text(name, message.touches, message.readings)
-
-
-def evidence_text(reference: str, touches: int, readings: int) -> str:
-    """Describe a reference.
-
-    Args:
-        reference: Its name, such as `touches`.
-        touches: Number of touches that a prediction was adapted to.
-        readings: Number of readings that it was adapted to.
-    """
-    texts = {
-        "none": "cloud only",
-        "touches": f"{touches} touch{'' if touches == 1 else 'es'}",
-        "history": f"history of {readings} readings",
-    }
-    return texts.get(reference, reference)

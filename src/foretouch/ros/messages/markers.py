@@ -14,10 +14,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch.grasp.pose import taxels_at
 from foretouch.report.hand_figure import COLOURS, hand_lines
-from foretouch.ros.messages.conversions import evidence_text, point_to_msg
+from foretouch.ros.messages.conversions import point_to_msg
 from foretouch.tactile import Ranges
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Float64, Grasp, Prediction, Touch
+from foretouch.types.predictions import evidence_text
 from foretouch_msgs.msg import ObjectArray, TablePlane
 
 _CONTACT_M = 0.012  # diameter of a contact's sphere

@@ -37,6 +37,7 @@ from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.live_tare import LiveTare
 from foretouch.tactile.messages.table import TactileReader
 from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Sample, Touch, stamp_ns
+from foretouch.types.scene import Object
 from foretouch_msgs.msg import ExecutedGrasp
 
 _TABLES = 64  # of the latest clouds, which come before the clouds themselves are kept
@@ -80,7 +81,7 @@ class OnlineAdapter:
         self._received = self._unreadable = 0
         self._touch_counts: Counter[str] = Counter()
         self._tare_refused = False
-        self._tables: dict[int, Plane | None] = {}  # of the clouds that were predicted on, by stamp [ns]
+        self._tables: dict[int, Plane] = {}  # of the clouds that were predicted on, by stamp [ns]
         self._texts = {"tare.fault": "", "touches.last_refusal": "", "tactile.last_unreadable": ""}  # for /diagnostics
         self._calibration_group = ""
 
@@ -135,36 +136,29 @@ class OnlineAdapter:
     # Output, for the thread that predicts.
 
     def predict(
-        self,
-        cloud: Cloud,
-        grasps: Sequence[Grasp],
-        *,
-        limits: ObjectLimits,
-        reach: ReachConfig,
-        table: Plane | None = None,
+        self, target: Object, grasps: Sequence[Grasp], *, limits: ObjectLimits, reach: ReachConfig
     ) -> Predictions:
         """Predict touch, adapted to the readings so far.
 
         Args:
-            cloud: Of the object.
+            target: The object.
             grasps: On the object.
             limits: Of objects.
             reach: Of the hand.
-            table: Under the object; None if it is not known.
         """
         config, model = self._config(), self._model
         self.process_touches()
         tare = self._recent_tare(config)
-        history = self._history_for(cloud, tare, config) if config.use_touches else None
+        history = self._history_for(target.cloud, tare, config) if config.use_touches else None
         alone = tare if history is None else None
-        predictions = model.predict(cloud, grasps, tare=alone, history=history, limits=limits, reach=reach, table=table)
-        self._keep_table(cloud.stamp_ns, table)
+        predictions = model.predict(target, grasps, tare=alone, history=history, limits=limits, reach=reach)
+        self._keep_table(target.cloud.stamp_ns, target.plane)
         if predictions:
             first = predictions[0]
             self._calibration_group = f"{first.reference} ({'new' if 'unfamiliar' in first.flags else 'known'})"
         return predictions
 
-    def _keep_table(self, stamp: int, table: Plane | None) -> None:
+    def _keep_table(self, stamp: int, table: Plane) -> None:
         """Keep the table of a cloud for as long as the cloud itself, since a grasp may be executed on it until then."""
         with self._input_lock:
             self._tables[stamp] = table

@@ -8,9 +8,8 @@ import numpy as np
 
 from foretouch.cloud.geometry.limits import check_object, check_table
 from foretouch.errors import CloudError, ForetouchError, FrameError, GraspError, LimitError, ModelError
-from foretouch.grasp import GeoGraspConfig, closing_faults, hand_rotation, object_axis
+from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.models import TouchModel, load_model
-from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import grasp_to_msg
@@ -113,23 +112,16 @@ class Predictor:
         usable = posed.ok
         if not usable.any():
             return posed
-        options: dict[str, Any] = {"limits": config.limits, "reach": config, "table": target.plane}
+        options: dict[str, Any] = {"limits": config.limits, "reach": config}
         grasps = posed.grasps if usable.all() else posed.grasps.take(usable)
         try:
             if self.adapter is not None:
-                predictions = self.adapter.predict(target.cloud, grasps, **options)
+                predictions = self.adapter.predict(target, grasps, **options)
             else:
-                predictions = model.predict(target.cloud, grasps, **options)
+                predictions = model.predict(target, grasps, **options)
         except (CloudError, ModelError) as err:
             status, reason = _refusal_of(err)
             return posed.put(usable, Predictions.refused(grasps, posed.channels, status, reason))
-        predictions = flag_equal_pressures(predictions, model)
-        faults = closing_faults(grasps)
-        tilted = np.array([bool(fault) for fault in faults], np.bool_) & predictions.ok
-        if tilted.any():  # the constructor of a message makes w = 1, which is an orientation
-            reasons = [fault for fault, refused in zip(faults, tilted.tolist(), strict=True) if refused]
-            refused = Predictions.refused(grasps.take(tilted), posed.channels, "bad_grasp", reasons)
-            predictions = predictions.put(tilted, refused)
         return predictions if usable.all() else posed.put(usable, predictions)
 
 

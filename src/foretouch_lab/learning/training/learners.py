@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from foretouch.errors import ConfigError, DatasetError
+from foretouch.grasp import closing_faults
 from foretouch.models.card import CardCalibration
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.network.preparation import LengthRangeCheck
 from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, P2_RANGES
-from foretouch.types import Float64
+from foretouch.types import Float64, Grasps
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
@@ -40,6 +41,7 @@ class Learner(ABC):
 
     Attributes:
         config: Settings of the run.
+        data_name: Name of the dataset.
         sensor: That the samples are of.
         split: Partition of the dataset into training and test samples.
         samples: The labelled training samples.
@@ -56,8 +58,13 @@ class Learner(ABC):
     def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
         self.config = config
         self.split = split
+        self.data_name = data.name
         self.sensor = data.sensor
         self.samples = [data.filled[k] for k in split.train]
+        faults = closing_faults(Grasps.of([sample.grasp for sample in self.samples]))
+        for sample, fault in zip(self.samples, faults, strict=True):
+            if fault:
+                raise DatasetError(f"{sample.id}: grasp: {fault}")
         self.labels = labels_of(self.samples)
         read = self.labels[:, self.sensor.channels.columns(self.outputs)]
         if len(read) > 1 and not np.ptp(read, axis=0).any():
@@ -206,3 +213,9 @@ class NetworkLearner(Learner):
 
     def _fallback(self) -> Fallback:
         return Fallback.fit(BIOTAC, self._objects[self._chosen], self.labels[self._chosen])
+
+
+def make_learner(config: RunConfig, data: Dataset) -> Learner:
+    """Return the learner of the configured method for the configured part of a dataset."""
+    split = data.partition(config.split)
+    return (NetworkLearner if config.has_network else ContactLearner)(config, data, split)
