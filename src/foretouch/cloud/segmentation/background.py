@@ -61,7 +61,13 @@ def find_background(
     background = Background(np.zeros(count, np.int64), np.zeros(count, np.uint8), np.empty((4 * h + 2, 3)))
     n_corners = np.empty(1, np.int64)
     image = {"grid": grid.points, "labels": labels, "h": h, "w": w, "n": count, "pitch": grid.pitch}
-    _find(struct("Parts", **image, plane=plane, noise=LOCAL_FACTOR * threshold.local_per_m, **_LIMITS), background.reasons, background.cut, background.outline, n_corners)
+    _find(
+        struct("Parts", **image, plane=plane, noise=LOCAL_FACTOR * threshold.local_per_m, **_LIMITS),
+        background.reasons,
+        background.cut,
+        background.outline,
+        n_corners,
+    )
     if n_corners[0] < 0:
         raise MemoryError("find_background")
     return background._replace(outline=background.outline[: n_corners[0]])

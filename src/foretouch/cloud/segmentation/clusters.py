@@ -101,7 +101,8 @@ class HeightThreshold(NamedTuple):
     low_m: float  # minimum height [m]
     noise_per_m: float  # minimum height divided by z² [1/m]
     high_m: float  # maximum height [m]
-    local_per_m: float  # standard deviation of the depth in small windows, divided by z² [1/m]: without waves, boards and levels
+    depth_m: float  # median depth of the table [m]
+    local_per_m: float  # standard deviation of the depth in small windows, divided by z² [1/m]
 
 
 class CoarseGrid(NamedTuple):

@@ -13,7 +13,7 @@ from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, Heigh
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
-from foretouch.types import Cloud, Float64, Int32, Int64, Plane
+from foretouch.types import Cloud, Float64, Int32, Plane
 from foretouch.types.scene import NEAR_M, Object
 
 _collect_members = Kernel("collect_members")

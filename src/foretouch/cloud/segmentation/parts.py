@@ -85,7 +85,6 @@ def split_clusters(
     threshold: HeightThreshold,
     pitch: float,
     config: SplitConfig,
-    reasons: Int64,
     write: WritePoints | None = None,
 ) -> tuple[list[Clusters], dict[str, int]]:
     """Split clusters of an image into parts.
@@ -96,7 +95,6 @@ def split_clusters(
         threshold: Height threshold above the table, with the noise of the depth.
         pitch: Lateral distance of neighbouring pixels per depth.
         config: Settings.
-        reasons: Why each label of the windows, counted on from one to the next, is background; 0 for what stands on the table.
         write: Writes points between the windows into `xyz`; None if all are there.
 
     Returns:
@@ -107,9 +105,9 @@ def split_clusters(
         return list(windows), counts
     window = _in_one_window(windows) if len(windows) > 1 else windows[0]
     h, w = window.labels.shape
-    depth = _depth_of(xyz[window.rows :, window.columns :][:h, :w, 2], window, reasons)
-    if depth is None:
-        return list(windows), counts
+    coarse = np.s_[::_STRIDE, ::_STRIDE]
+    seen = xyz[window.rows :, window.columns :][:h, :w, 2][coarse][window.solid[coarse]]
+    depth = min(median(seen), threshold.depth_m) if len(seen) else threshold.depth_m  # a wall is far behind the table
     side = pitch * depth  # of a pixel [m]
     arm, touching = max(1, round(_ARM_M / side)), np.empty(2, np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
@@ -162,16 +160,6 @@ def split_window(
     return labels, counts.tolist()
 
 
-def _depth_of(depths: Float32, window: Clusters, reasons: Int64) -> float | None:
-    """Return the median depth of what stands on the table [m], else of the background; None where there is neither."""
-    coarse = np.s_[::_STRIDE, ::_STRIDE]
-    solid = window.solid[coarse]
-    seen, standing = depths[coarse][solid], reasons[window.labels[coarse][solid]] == 0
-    if not len(seen):
-        return None
-    return median(seen[standing] if standing.any() else seen)  # a wall is far behind the objects
-
-
 def _cell_of(noise_per_m: float, least_m: float, depth: float, side: float) -> int:
     """Return the side of a cell in pixels, by the noise of the threshold, the depth and the side of a pixel [m]."""
     least = _UNKNOWN_CELL_PER_M if noise_per_m < _NO_NOISE else _CELL_PER_M
@@ -200,7 +188,7 @@ def split_list(
     labels = np.where(shown >= 0, clusters[shown], 0).astype(np.int32)
     wide = config.updated({"cell_m": max(config.cell_m, _LIST_CELL_M)})
     whole = Clusters(labels, labels > 0, windows[0].n_labels)
-    split, counts = split_clusters(image, [whole], threshold, pitch, wide, np.zeros(whole.n_labels + 1, np.int64))
+    split, counts = split_clusters(image, [whole], threshold, pitch, wide)
     if not counts["parts"]:
         return list(windows), counts
     parts, front = split[0].labels[tuple(at.T)], shown[tuple(at.T)]

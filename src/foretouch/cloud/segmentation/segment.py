@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.geometry.frames import TANGENT, not_optical
 from foretouch.cloud.geometry.pixel_grid import listed_image
 from foretouch.cloud.segmentation.background import REASONS, find_background
@@ -174,19 +175,16 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
     if reason:
         return "doubtful_plane", reason, plane, *nothing, labels
     with timed(ms, "clusters"):
-        limits = config.clusters
-        threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M, noise_per_m)
+        limits, found = config.clusters, None
+        threshold = _threshold(plane, noise_per_m, sample, config)
         if cloud.organised:
             grid = CoarseGrid(coarse, stride, pixel_pitch(coarse))
             threshold = threshold._replace(local_per_m=local_noise(grid, config.crop))
             windows = label_organised(xyz, grid, config.crop, threshold, limits, rays, write)
+            windows, parts = split_clusters(xyz, windows, threshold, grid.pitch / stride, config.split, write)
             hidden = config.plane.table == "given" and noise_per_m == 0.0  # by a pile: the table has no outline
             found = find_background(grid, windows, threshold, hidden=hidden)
-            windows, parts = split_clusters(xyz, windows, threshold, grid.pitch / stride, config.split, found.reasons, write)
-            if parts["parts"]:
-                found = find_background(grid, windows, threshold, hidden=hidden)
         else:
-            found = None
             windows = label_unorganised(xyz, config.crop, threshold)
             windows, parts = split_list(xyz, windows, threshold, config.split)
         counts |= parts
@@ -197,7 +195,23 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         objects, background, numbers = extract_objects(made, windows, threshold, limits, labels, found)
         counts |= numbers
     reason = "" if objects else _why_no_object(counts["n_rejected"], counts["n_background"], limits)
-    return "ok" if objects else "no_object", reason, plane, objects, background, np.empty((0, 3)) if found is None else found.outline, labels
+    return (
+        "ok" if objects else "no_object",
+        reason,
+        plane,
+        objects,
+        background,
+        np.empty((0, 3)) if found is None else found.outline,
+        labels,
+    )
+
+
+def _threshold(plane: Plane, noise_per_m: float, sample: Float32, config: SegmentationConfig) -> HeightThreshold:
+    """Return the height threshold above a table with its noise, from points of the cloud (N, 3)."""
+    on = sample[np.abs(plane.height(sample)) < config.plane.threshold_m]
+    depth_m = median((on if len(on) else sample[finite_rows(sample)])[:, 2])
+    least_m, least_per_m = config.clusters.min_height_m, NOISE_FACTOR * noise_per_m
+    return HeightThreshold(plane, least_m, least_per_m, _HIGHEST_M, depth_m, noise_per_m)
 
 
 def _image_of(cloud: Cloud) -> DepthImage | None:
