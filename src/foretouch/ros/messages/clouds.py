@@ -23,7 +23,8 @@ from foretouch_msgs.msg import Object as ObjectMsg
 
 _MILLIMETRE: Final = 1e-3  # [m], the unit of 16UC1
 _LARGEST_LABEL: Final = 65535  # of 16UC1
-_BRIGHTEST: Final = 230.0  # of the nearest pixel
+_BRIGHTNESS: Final = np.float32(200.0)  # of the nearest pixel of every few
+_EVERY: Final = 4
 _OBJECT_RGB: Final = np.array(  # by id
     [(255, 128, 0), (0, 166, 214), (230, 0, 126), (122, 184, 0), (143, 79, 209), (217, 179, 0), (0, 168, 143)]
 )
@@ -90,13 +91,15 @@ def labels_to_msg(scene: Scene, header: Header) -> Image:
 def overlay_to_msg(scene: Scene, header: Header) -> Image:
     """Draw the objects over the image, rgb8: targets in full colour, others paler; by its colours, or the brighter the nearer."""
     depth, labels = np.atleast_2d(scene.cloud.xyz[..., 2]), np.atleast_2d(scene.labels)
+    drawn = np.empty((*depth.shape, 3), np.uint8)
     if scene.cloud.rgb is not None:
-        drawn = scene.cloud.rgb.reshape(*depth.shape, 3).copy()
+        drawn[...] = scene.cloud.rgb.reshape(drawn.shape)
     else:
-        near = np.nanmin(depth, initial=np.inf)
-        grey = np.nan_to_num(_BRIGHTEST * near / depth, nan=0.0, posinf=0.0, neginf=0.0).astype(np.uint8)
-        drawn = np.repeat(grey[..., None], 3, axis=2)
-    pixels, flat = np.flatnonzero(labels), drawn.reshape(-1, 3)
+        nearest = np.fmin.reduce(depth[::_EVERY, ::_EVERY], axis=None)
+        grey = np.clip(np.fmax(_BRIGHTNESS * nearest / depth, 0), 0, 255).astype(np.uint8)  # 0 without depth
+        for channel in range(3):
+            drawn[..., channel] = grey
+    pixels, flat = np.flatnonzero(labels > 0), drawn.reshape(-1, 3)
     ids = labels.reshape(-1)[pixels]
     shares = np.where(np.isin(ids, [int(target.id) for target in scene.targets]), 0.7, 0.35)[:, None]
     flat[pixels] = (1.0 - shares) * flat[pixels] + shares * _OBJECT_RGB[ids % len(_OBJECT_RGB)]
