@@ -237,7 +237,7 @@ def test_a_fitted_model_predicts_and_is_loaded_again(tmp_path):
     with pytest.raises(ft.ForetouchError, match="exists already"):
         model.save(tmp_path / "mine")
     with pytest.raises(ModelError, match="was not loaded from files"):
-        ft.TouchModel(model.estimator, model.card).save(tmp_path / "other")
+        ft.TouchModel(model.predictor, model.card).save(tmp_path / "other")
     assert model.path is not None
     folder = model.path.parent
     assert folder.exists()

@@ -62,7 +62,7 @@ def none_of(name: Any, known: Iterable[Any]) -> str:
     return f"{quoted(name)} is not one of {', '.join(map(str, known))}{nearest(name, known)}"
 
 
-def described(err: Exception) -> str:
+def described(err: BaseException) -> str:
     """Return the type and text of an exception in one line."""
     return f"{type(err).__name__}: {' '.join(str(err).split())}"
 

@@ -3,7 +3,7 @@
 
 One cloud and K grasps come in, K predictions go out, each with an interval, a reference and flags.
 
-cloud, K grasps ─ estimator ─► counts ─ tracker of earlier readings ─► value ± half width, flags
+cloud, K grasps ─ predictor ─► counts ─ tracker of earlier readings ─► value ± half width, flags
 
 Earlier readings are a tare, touches of the same object, or the history of a hand with many objects. All of them go
 through the tracker of the sensors' state (`models.tracker`), with the parameters of the model's calibration.
@@ -11,6 +11,7 @@ through the tracker of the sensors' state (`models.tracker`), with the parameter
 
 import copy
 import time
+import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
@@ -18,20 +19,20 @@ from typing import Any, Final, Self
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
-from foretouch.errors import CloudError, FileError, ModelError, TactileError, shown
+from foretouch.errors import CloudError, FileError, ForetouchError, ModelError, TactileError, described, shown
 from foretouch.files import read_bytes, replace_files, system_errors
 from foretouch.grasp.axis import with_rotations
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import closing_faults, joined_faults
 from foretouch.grasp.reach import DEFAULT_REACH, OFF_OBJECT, ReachConfig, in_the_air, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
-from foretouch.models.card import card_sensor
+from foretouch.models.card import OWN, card_sensor
 from foretouch.models.equal_pressure import flag_equal_pressures
-from foretouch.models.estimator import Estimate, Estimator
 from foretouch.models.files import under
 from foretouch.models.history_file import pack_history, to_bytes, to_text, unpack_history
+from foretouch.models.predictor import Estimate, Predictor
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import touch_faults
+from foretouch.tactile import Ranges, touch_faults, usual_ranges
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import require_same
 from foretouch.types import AnyArray, Cloud, Evidence, Float64, Grasp, Grasps, Plane, Predictions, Reference, Touch
@@ -40,6 +41,8 @@ from foretouch.types.grasps import contact_faults
 from foretouch.types.rotations import are_absent, fault_texts, require_none, rotation_faults
 from foretouch.types.scene import Object
 from foretouch.types.summary import Summarised, briefly, counted, names_of
+
+_NOT_FINITE: Final = "the model gives a value that is not finite"
 
 SIMILAR_TOUCHES: Final = "similar_touches"
 """Flag of predictions in which took part where on the object its earlier touches were."""
@@ -61,7 +64,7 @@ class TouchModel(Summarised):
     """Predicts what both fingertips would read at a grasp. It never changes, so threads may share it.
 
     Args:
-        estimator: Predicts from the cloud and the grasp only.
+        predictor: Predicts from the cloud and the grasp only.
         card: The card of the model.
         calibration: Rest level, adaptation and intervals; None if the card holds no calibration.
 
@@ -70,17 +73,17 @@ class TouchModel(Summarised):
         sha256: Hash of the weights, from the card.
         sensor: The sensor whose readings are predicted.
         ranges: Ranges outside which a predicted value is flagged.
-        estimator: Predicts from the cloud and the grasp only.
+        predictor: Predicts from the cloud and the grasp only.
     """
 
-    def __init__(self, estimator: Estimator, card: Mapping[str, Any], calibration: Calibration | None = None) -> None:
+    def __init__(self, predictor: Predictor, card: Mapping[str, Any], calibration: Calibration | None = None) -> None:
         self.name: str = card["name"]
         self.sha256: str = card["sha256"]
         self.card = dict(card)
         self.calibration = calibration
         self.sensor = card_sensor(card, self.name)
-        self.ranges = estimator.ranges
-        self.estimator = estimator
+        self.ranges: Ranges = getattr(predictor, "ranges", None) or usual_ranges(self.sensor.channels)
+        self.predictor = predictor
         self.path: Path | None = None  # of its card, where it was loaded
 
     def _summary(self) -> tuple[str, dict[str, str]]:
@@ -221,12 +224,11 @@ class TouchModel(Summarised):
         self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: "History | None", table: Plane | None
     ) -> Predictions:
         """Return predictions for executable grasps."""
-        estimate = self.estimator.estimate(cloud, grasps, table)
+        estimate = self.estimate(cloud, grasps, table)
         if tare is not None:
             history = History(self)
             history.tare(tare, stamp_ns=0)
             history = history.snapshot(0, same_object=False, tare=True)
-        known = estimate.in_distribution
         if history is not None and history.evidence.readings:
             read = (*history.adapt(estimate), history.reference, history.evidence)
             similar = history.compares_places and estimate.where is not None
@@ -234,8 +236,33 @@ class TouchModel(Summarised):
             return predictions.flagged(SIMILAR_TOUCHES) if similar else predictions
         half = None
         if self.calibration is not None:
-            half = np.where(known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new")))
+            half = np.where(
+                estimate.known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new"))
+            )
         return self._predictions(grasps, estimate, estimate.counts, half, "none", Evidence())
+
+    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
+        """Predict K grasps from the cloud alone, without readings and intervals.
+
+        Args:
+            cloud: The object's points [m].
+            grasps: In the cloud's frame.
+            table: In the same frame; without one the camera is taken to look straight down on it.
+
+        Raises:
+            CloudError: If the cloud cannot be used.
+            ModelError: If the cloud lacks a colour that the model needs; or of an own predictor that fails, or returns no
+                K x D numbers: names it, the error and the line.
+        """
+        grasps = Grasps.of(grasps)
+        try:
+            return Estimate.of(self.predictor.estimate(cloud, grasps, table), len(grasps), self.sensor.channels.size)
+        except ForetouchError:
+            raise
+        except (Exception, SystemExit) as err:
+            if self.card.get("kind") != OWN:  # an error of foretouch is reported as one
+                raise
+            raise ModelError(f"{self.name}: estimate: {described(err)}{_line_of(err)}") from err
 
     def estimate_executed(
         self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS, table: Plane | None = None
@@ -251,14 +278,17 @@ class TouchModel(Summarised):
         Raises:
             CloudError: If the cloud cannot be used.
             GraspError: If no hand can execute a grasp.
+            ModelError: If a value is not finite.
         """
         check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range or wider than any hand.
         columns = with_rotations(Grasps.of(grasps), cloud, table, _POSING)
         faults = _faults(columns, cloud, 2.0, limits.max_range_m)
         usable = np.array([not fault for fault in faults], np.bool_)
-        estimate = self.estimator.estimate(cloud, columns.take(usable), table)  # a useless cloud is named first
+        estimate = self.estimate(cloud, columns.take(usable), table)  # a useless cloud is named first
         require_none(faults)
+        if not np.isfinite(estimate.counts).all():
+            raise ModelError(f"{self.name}: {_NOT_FINITE}")
         return estimate
 
     def tare_offset(self, tare: Touch) -> Float64:
@@ -316,7 +346,7 @@ class TouchModel(Summarised):
         half = np.full(counts.shape, np.nan) if half is None else half
         finite = np.asarray(np.isfinite(counts).all(axis=1), np.bool_)
         outside = self.ranges.outside(counts).any(axis=1) & finite
-        unknown = ~estimate.in_distribution & finite
+        unknown = finite & (False if estimate.familiar is None else ~estimate.familiar)
         marks = {"out_of_range": outside, "unfamiliar": unknown}
         marks |= {flag: rows & unknown for flag, rows in estimate.reasons.items()}
         marked = {flag: rows.tolist() for flag, rows in marks.items() if rows.any()}
@@ -333,9 +363,14 @@ class TouchModel(Summarised):
         )
         if finite.all():
             return predictions
-        reason = "the model gives a value that is not finite"
-        refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", reason)
+        refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", _NOT_FINITE)
         return predictions.put(~finite, refused)
+
+
+def _line_of(err: BaseException) -> str:
+    """Return where an exception was raised, such as " (mine.py:7)"."""
+    frames = traceback.extract_tb(err.__traceback__)
+    return f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
 
 
 def _cloud_and_table(target: Cloud | Object) -> tuple[Cloud, Plane | None]:
@@ -463,7 +498,7 @@ class History(Summarised):
         if estimate is None:
             estimate = self.model.estimate_executed(cloud, [grasp], table=table)
         if not (same and self.touches):
-            self.tracker.start_object(known=bool(estimate.in_distribution[0]))
+            self.tracker.start_object(known=bool(estimate.known[0]))
         where = None if estimate.where is None else estimate.where[0]
         stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
         restarted = self.tracker.add_touch(stamp_ns, values, estimate.counts[0], tdc=tdc, where=where)
@@ -518,7 +553,7 @@ class History(Summarised):
         """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
         counts, half = np.empty((2, *estimate.counts.shape))
         for known in (False, True):
-            rows = estimate.in_distribution == known
+            rows = estimate.known == known
             if rows.any():
                 level = self.tracker.level(self._time_ns, same_object=self._touched, known=known, tdc=self.tdc)
                 where = None if estimate.where is None else estimate.where[rows]
