@@ -372,18 +372,16 @@ def load_hand(hand: str | Path) -> Hand:
     """Read a description, once, and again when its file was changed.
 
     Args:
-        hand: A YAML file, or the name of a description that comes with the package, such as `franka_hand`.
+        hand: The name of a description that comes with the package, such as `franka_hand`, or a YAML file; a file of such a
+            name is `./franka_hand`.
 
     Raises:
         ConfigError: If there is none, or it breaks a rule; names file, field and rule.
     """
-    path, known = Path(hand), hand_files()
+    known = hand_files()
+    path = known.get(hand, Path(hand)) if isinstance(hand, str) else hand
     if not path.is_file():
-        if str(hand) not in known:
-            raise ConfigError(
-                f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(str(hand), known)}"
-            )
-        path = known[str(hand)]
+        raise ConfigError(f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(str(hand), known)}")
     return _read_hand(path, path.stat().st_mtime_ns)
 
 

@@ -317,17 +317,19 @@ def load_sensor(sensor: str | Path) -> Sensor:
     """Read a description and its taxels.
 
     Args:
-        sensor: A YAML file, or the name of a description that comes with the package, such as `biotac_sp`.
+        sensor: The name of a description that comes with the package, such as `biotac_sp`, or a YAML file; a file of such a
+            name is `./biotac_sp`.
 
     Raises:
         ConfigError: If there is none, or it breaks a rule; names file, field and rule.
         FileError: If the CSV file breaks a rule; names file, line and rule.
     """
-    path, known = Path(sensor), sensor_files()
+    known = sensor_files()
+    path = known.get(sensor, Path(sensor)) if isinstance(sensor, str) else sensor
     if not path.is_file() and not path.suffix and len(path.parts) == 1:
-        if str(sensor) not in known:
-            raise ConfigError(f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(sensor, known)}")
-        path = known[str(sensor)]
+        raise ConfigError(
+            f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(str(sensor), known)}"
+        )
     config = SensorConfig.from_mapping(load_yaml(path), str(path))
     layout = (
         config.array.layout(config.absent) if config.array else read_layout(path.parent / config.taxels, config.absent)

@@ -204,7 +204,8 @@ def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits
         limits: Of objects.
 
     Raises:
-        RefusalError: As `read_targets` and `read_plane`; EMPTY_CLOUD without a latest cloud, UNKNOWN_FRAME if that is in another frame.
+        RefusalError: As `read_targets` and `read_plane`; EMPTY_CLOUD without a latest cloud, UNKNOWN_FRAME if that is in another
+            frame, and why it has no objects, such as NO_PLANE.
     """
     cloud, table = request.cloud, request.table
     plane = read_plane(table[0]) if table else None
@@ -215,7 +216,7 @@ def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits
         raise no_latest_cloud()
     check_frames("cloud", cloud.header, latest.header)
     if not latest.objects:
-        raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
+        raise latest.refusal or RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
     if plane is None:
         return latest
     return latest._replace(objects=tuple(replace(target, plane=plane) for target in latest.objects), refusal=None)
