@@ -393,8 +393,3 @@ def _read_hand(path: Path, _changed_ns: int) -> Hand:
         return Hand(HandDescription.from_mapping(stated))
     except ConfigError as err:
         raise ConfigError(f"{shown(path)}: {err}") from err
-
-
-def tool_of(hand: str | Path) -> str:
-    """Return the name of the tool frame of a description; "" without a hand, or of one whose description names none."""
-    return load_hand(hand).config.tool if hand else ""

@@ -19,13 +19,13 @@ from std_msgs.msg import Header
 
 from foretouch.errors import described
 from foretouch.grasp import GraspPlan
-from foretouch.grasp.hand import tool_of
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups, predicted_pressures
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import RefusalError, Targets, no_latest_cloud, requested_targets
-from foretouch.ros.steps.grasping import plan_targets
+from foretouch.ros.steps.grasping import grasps_to_msg
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.steps.touch_settings import COSTS, HARDER_FINGER, SCORE, TouchSettings
+from foretouch.stream import named
 from foretouch.types import Float64
 from foretouch.types.scene import Object
 from foretouch_msgs.action import SampleGrasps
@@ -83,16 +83,15 @@ def sample_grasps(
     for target in targets.objects:
         if handle.is_cancel_requested:
             break
-        message, (plan,) = plan_targets(pipeline, [target], targets.header)
-        for grasp in message.grasps:
-            grasp.id += f"/{name}"
-        for first in range(0, len(message.grasps), _BATCH):
+        plan = named(pipeline.plan(target), target, name)
+        message = grasps_to_msg([target], [plan], targets.header)
+        for first in range(0, len(plan.grasps), _BATCH):
             if handle.is_cancel_requested:
                 break
             part = slice(first, first + _BATCH)
             batch = GraspArray(header=targets.header, grasps=message.grasps[part])
             fresh = _predicted(step, rule, target, replace(plan, grasps=plan.grasps[part]), batch)
-            feedback(SampleGrasps.Feedback(**_fields(fresh, targets.header)))
+            feedback(SampleGrasps.Feedback(**_fields(fresh, targets.header, config)))
             candidates += fresh
     if not candidates:
         if handle.is_cancel_requested:
@@ -101,7 +100,7 @@ def sample_grasps(
     if rule != SCORE and all(math.isinf(candidate.cost) for candidate in candidates):
         raise RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
     candidates, fields = _levelled(candidates), {"grasp_state": "success", "status": Status.OK}
-    fields |= _fields(candidates, targets.header)
+    fields |= _fields(candidates, targets.header, config)
     step.add_requested(targets, fields["grasps"])
     return SampleGrasps.Result(predictions=[candidate.prediction for candidate in candidates], **fields)
 
@@ -163,12 +162,13 @@ def _levelled(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     return [candidates[k]._replace(cost=float(lowest[groups[k]])) for k in np.lexsort((-scores, groups))]
 
 
-def _fields(candidates: Sequence[_Candidate], header: Header) -> dict[str, Any]:
+def _fields(candidates: Sequence[_Candidate], header: Header, config: TouchSettings) -> dict[str, Any]:
     """Make what results and feedback have in common.
 
     A pose is of the tool frame of a described hand; without one, of the hand by GeoGrasp.
     """
-    poses = [c.grasp.pose_of_hand if tool_of(c.grasp.hand) else c.grasp.pose for c in candidates]
+    has_tool = bool(config.hand.hand.config.tool)
+    poses = [c.grasp.pose_of_hand if has_tool else c.grasp.pose for c in candidates]
     return {
         "grasp_candidates": [PoseStamped(header=header, pose=pose) for pose in poses],
         "costs": [c.cost for c in candidates],
