@@ -73,7 +73,7 @@ def test_a_request_or_grasp_that_cannot_be_answered_is_refused_with_the_reason_a
         without_orientation(r.grasps[0]).g1.x = 1e160
 
     cases = [
-        ("grasps: is empty", Status.NO_GRASP, lambda r: setattr(r, "grasps", [])),
+        ("grasps: is empty: send grasps, or contacts", Status.BAD_REQUEST, lambda r: setattr(r, "grasps", [])),
         ("row_step", Status.BAD_CLOUD, lambda r: setattr(r.cloud, "row_step", 1)),
         ("finite", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.full(4, math.nan))),
         ("holds no plane", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.zeros(4))),

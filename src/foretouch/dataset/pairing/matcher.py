@@ -252,10 +252,10 @@ class GraspTouchMatcher:
             raise PairingError("grasp_failed", "the robot reports a failure")
         name = executed.grasp_id
         if name not in self._stamps:
-            raise PairingError("grasp_unknown", f"grasp {name}: was not planned while recording, or long ago")
+            raise PairingError("grasp_unknown", "was not planned on a cloud that is still kept; was its id changed?")
         stamp = self._stamp_of(name)
         if stamp is None:
-            raise PairingError("grasp_ambiguous", f"grasp {name}: was planned on {len(self._stamps[name])} clouds")
+            raise PairingError("grasp_ambiguous", f"was planned on {len(self._stamps[name])} clouds")
         plan, cloud = self.plans[stamp], self._clouds.get(stamp)
         if cloud is None:
             raise PairingError("cloud_unknown", "its cloud was not received, or is no longer kept")
