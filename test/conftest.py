@@ -55,7 +55,8 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], AbstractContex
     @contextmanager
     def full(name: str) -> Iterator[None]:
         def fsync(fd: int) -> None:
-            if Path(f"/proc/self/fd/{fd}").readlink().name in (name, f"{name}.part"):
+            written = Path(f"/proc/self/fd/{fd}").readlink().name
+            if written == name or (written.startswith(f"{name}.") and written.endswith(".part")):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
         with monkeypatch.context() as patched:

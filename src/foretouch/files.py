@@ -7,11 +7,13 @@ name that the package chose, in a folder that may come from elsewhere, goes thro
 the package opens files here.
 """
 
+import fcntl
 import hashlib
 import json
 import math
 import os
 import re
+import secrets
 import stat
 import weakref
 import zlib
@@ -28,12 +30,22 @@ from foretouch.errors import FileError, quoted, shown
 TEXT_LIMIT: Final = 64_000_000
 """Largest size of a JSON file [bytes]: the manifest of the largest store has a thousandth of it."""
 
+LOCK: Final = ".lock"
+"""Name of the file by which a folder is locked."""
+
+PART: Final = ".part"
+"""At the end of the names of what is being written."""
+
 PICTURE_SUFFIXES: Final = (".png", ".pdf", ".svg", ".jpg")
 
 _DEPTH: Final = 64  # levels of lists and objects; no file of the package has more than 8
 _KINDS: Final = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "FIFO"), (stat.S_ISSOCK, "socket"))
 _AHEAD: Final = 16_384  # bytes that are read at once where less is asked for
 _BLOCK: Final = 1 << 20
+_LONGEST: Final = 200  # characters of a name that are left in a temporary one
+_ONE_WRITER: Final = (
+    "one writer at a time; write parts to datasets of their own, and join them with `foretouch dataset build`"
+)
 
 
 @dataclass(frozen=True)
@@ -108,42 +120,78 @@ def _descriptor(path: str | Path, flags: int) -> int:
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)
-        kind = next((name for test, name in _KINDS if test(mode)), "device")
-        raise FileError(path, f"is a {kind}, not a regular file")
+        raise FileError(path, f"is a {_kind(mode)}, not a regular file")
     return descriptor
+
+
+def _kind(mode: int) -> str:
+    """Return what a file is that is no regular one."""
+    return next((name for test, name in _KINDS if test(mode)), "device")
 
 
 class FileBytes:
     """The bytes of a regular file, read when they are sliced, of which short slices share a read.
 
-    A file that is truncated after it was opened raises a `FileError`; a mapping of it would end the process.
+    Threads and forked processes read at the same time, since no read depends on a position of the file. A pickled one opens
+    the file again, wherever the process is. A file that is truncated after it was opened raises a `FileError`; a mapping of it
+    would end the process.
 
     Args:
         path: The file; its size is the one that it has now.
 
     Raises:
-        FileError: As `open_regular`; later, if bytes are not there any more or cannot be read.
+        FileError: As `open_regular`; later, if bytes are not there any more or cannot be read, or if a pickled one finds other
+            bytes at the beginning of the file, or fewer.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._file = open_regular(path)
-        weakref.finalize(self, self._file.close)
-        self._size = os.fstat(self._file.fileno()).st_size
+        self._place = Path(path).absolute()
+        self._size = self._open(self.path)
+
+    def _open(self, path: Path) -> int:
+        """Open the file and return its size."""
+        file = open_regular(path)
+        weakref.finalize(self, file.close)
+        self._descriptor = file.fileno()
+        self._ahead: tuple[int, bytes] = 0, b""  # offset and content of a read; replaced as a whole: threads share it
+        return os.fstat(self._descriptor).st_size
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "_place": self._place, "_size": self._size, "head": self[: min(_AHEAD, self._size)]}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        head = state.pop("head")
+        vars(self).update(state)
+        if self._open(self._place) < self._size or self[: len(head)] != head:
+            raise FileError(self.path, "was changed after it was opened: open it again")
 
     def __len__(self) -> int:
         return self._size
 
     def __getitem__(self, part: slice) -> bytes:
         start, end, _ = part.indices(self._size)
-        try:
-            self._file.seek(start)
-            content = self._file.read(max(0, end - start))
-        except OSError as err:  # as `system_errors`, which takes longer than a short read
-            raise FileError(self.path, err.strerror or str(err)) from err
+        at, content = self._ahead
+        if at <= start and end <= at + len(content):
+            return content[start - at : end - at]
+        content = self._read(start, max(end - start, _AHEAD))
         if len(content) < end - start:
             raise FileError(self.path, "was truncated while it was read", field=f"byte {start + len(content)}")
-        return content
+        if end - start >= _AHEAD:
+            return content
+        self._ahead = start, content
+        return content[: end - start]
+
+    def _read(self, start: int, size: int) -> bytes:
+        """Return bytes from an offset on, fewer at the end of the file."""
+        parts = []
+        try:
+            while size > 0 and (part := os.pread(self._descriptor, size, start)):  # of some GB less than was asked for
+                parts.append(part)
+                start, size = start + len(part), size - len(part)
+        except OSError as err:  # as `system_errors`, which takes longer than a short read
+            raise FileError(self.path, err.strerror or str(err)) from err
+        return b"".join(parts)
 
     def blocks(self, start: int, end: int, overlap: int = 0) -> Iterator[tuple[int, bytes]]:
         """Iterate over the bytes between two offsets by blocks with their offsets; each reaches `overlap` bytes into the next."""
@@ -163,43 +211,96 @@ class FileBytes:
             yield from (at + match.start() for match in pattern.finditer(block) if match.start() < _BLOCK)
 
 
+def require_replaceable(path: str | Path) -> None:
+    """Refuse a file to write where something else than a regular file is, such as a device; a link counts as what it leads to."""
+    with _named(path), suppress(FileNotFoundError):
+        if not stat.S_ISREG(mode := Path(path).stat().st_mode):
+            raise FileError(path, f"cannot be written: is a {_kind(mode)}, not a regular file")
+
+
 def replace_files(contents: Mapping[Path, bytes]) -> None:
     """Write files that belong together, such as weights and the card with their hash.
 
-    All are written under temporary names before the first is renamed, so that a full disk leaves all of the old files.
-    Only a crash between two renames leaves a new file beside an old one, which the hash in the card reveals.
+    All are written under temporary names of their own before the first is renamed, so that a full disk leaves all of the old
+    files. Of several processes that write the same files at once, all files are the last one's. Only a crash between two renames
+    leaves a new file beside an old one, which the hash in the card reveals.
 
     Args:
         contents: By file, in the order in which they are renamed; missing folders are made.
 
     Raises:
-        FileError: Names the file that cannot be written, such as on a full disk; or a temporary name that is not a file
-            left by a crash, but a link or a folder.
+        FileError: Names the file that cannot be written, such as on a full disk.
     """
     parts: list[Path] = []
     path = Path()
     try:
         for path, content in contents.items():
+            require_replaceable(path)
             path.parent.mkdir(parents=True, exist_ok=True)
-            part = path.with_name(f"{path.name}.part")
-            if os.path.lexists(part):  # of a crash
-                if not stat.S_ISREG(part.lstat().st_mode):
-                    raise FileError(part, "is a link or no regular file, and is in the way of a temporary file")
-                part.unlink()
+            part = part_of(path)
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
             with os.fdopen(os.open(part, flags, 0o666), "wb") as file:
                 parts.append(part)
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-        for path, part in zip(contents, parts, strict=True):
-            part.replace(path)
+        with _together(path.parent, len(contents)):
+            for path, part in zip(contents, parts, strict=True):
+                part.replace(path)
     except OSError as err:
         raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
     finally:
         for part in parts:
             with suppress(OSError):  # the error to report is the first one
                 part.unlink(missing_ok=True)
+
+
+def part_of(path: Path) -> Path:
+    """Return a name beside a file that no other writer uses, under which it is written."""
+    return path.with_name(f"{path.name[:_LONGEST]}.{secrets.token_hex(6)}{PART}")
+
+
+@contextmanager
+def _together(folder: Path, count: int) -> Iterator[None]:
+    """Let no other process rename several files in a folder at the same time, where its file system has locks."""
+    if count < 2:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def lock(folder: Path, path: Path | None = None) -> Iterator[None]:
+    """Lock a folder for writing, by the file `.lock` in it and until the process ends at the latest.
+
+    Args:
+        folder: It exists.
+        path: The dataset that is written in it, for the message; by default the folder.
+
+    Raises:
+        FileError: Names the process that is writing there.
+    """
+    path = path or folder
+    descriptor = open_own(folder / LOCK, os.O_RDWR)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as err:
+            holder = os.read(descriptor, 32).decode("ascii", "replace").strip()
+            raise FileError(path, f"process {holder or '?'} is writing this dataset: {_ONE_WRITER}") from err
+        if not os.fstat(descriptor).st_nlink:
+            raise FileError(path, "another process has just ended to write this dataset: repeat it")
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def free_name(path: Path, addition: str) -> Path:
@@ -231,6 +332,7 @@ def require_writable(path: str | Path, *suffixes: str) -> None:
     """
     if Path(path).suffix.lower() not in suffixes:
         raise FileError(path, f"the extension is not one of {', '.join(suffixes)}")
+    require_replaceable(path)
     existed = Path(path).exists()
     with system_errors(path, "cannot be written"):
         Path(path).parent.mkdir(parents=True, exist_ok=True)

@@ -11,9 +11,10 @@ from pathlib import Path
 
 from foretouch.dataset.identity import check_name, renamed_id
 from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
-from foretouch.dataset.recording.folder import is_dataset, lock
+from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.errors import DatasetError, FileError
+from foretouch.files import lock
 
 
 def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:

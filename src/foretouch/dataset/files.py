@@ -6,34 +6,65 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from foretouch import __version__
 from foretouch.errors import FileError, VersionError, shown
-from foretouch.files import TEXT_LIMIT, json_in, read_bytes, system_errors
+from foretouch.files import LOCK, PART, TEXT_LIMIT, free_name, json_in, lock, read_bytes, system_errors
 
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
     """Write a folder beside its final path, and move it there at the end; an error leaves nothing behind.
 
-    Gives where to create it, under its final name, after which formats name files; a `FileError` if `path` exists.
+    Gives where to create it, under its final name, after which formats name files. What a process that was killed left there is
+    removed; what another one is writing is not.
+
+    Args:
+        path: The folder.
+
+    Raises:
+        FileError: If it exists, another process is writing it, or its folder cannot be written.
     """
+    _require_absent(path)
+    part = path.with_name(f".{path.name}{PART}")
+    with system_errors(path, f"cannot be written, by way of {part.name}"):
+        part.mkdir(parents=True, exist_ok=not part.is_symlink())
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(lock(part, path))
+        finally:
+            _require_absent(path)  # another process may just have ended
+        try:
+            for left in part.iterdir():
+                if left.is_dir() and not left.is_symlink():
+                    shutil.rmtree(left, ignore_errors=True)
+                elif left.name != LOCK:
+                    left.unlink()
+            yield part / path.name
+            _move(part / path.name, path)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+
+def _require_absent(path: Path) -> None:
     if path.exists():
         raise FileError(path, "exists already and is not overwritten")
-    part = path.with_name(f".{path.name}.part")
-    if part.is_dir():  # `rmtree` would wait for the other end of a FIFO
-        shutil.rmtree(part, ignore_errors=True)
-    with system_errors(path, f"cannot be written, by way of {part.name}"):
-        part.mkdir(parents=True)
-    try:
-        with system_errors(path, "cannot be written"):
-            yield part / path.name
-            (part / path.name).rename(path)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+
+
+def _move(made: Path, path: Path) -> None:
+    """Move a folder to its final path; where another program made one meanwhile, beside it."""
+    with system_errors(path, "cannot be written"):
+        try:
+            made.rename(path)
+        except OSError:
+            if not path.exists():
+                raise
+            kept = free_name(path, "new")
+            made.rename(kept)
+            raise FileError(path, f"was made by another program meanwhile; what was written is {kept.name}") from None
 
 
 def sync_folder(path: Path) -> None:

@@ -21,7 +21,7 @@ from typing import Any
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.errors import FileError
-from foretouch.files import require_existing
+from foretouch.files import require_existing, system_errors
 
 
 def _recording() -> ModuleType:
@@ -141,6 +141,6 @@ def export_samples(
     """
     module = next(entry for entry in FORMATS if entry.name == kind).load()
     result = ExportResult()
-    with new_folder(Path(out)) as folder:
+    with new_folder(Path(out)) as folder, system_errors(out, "cannot be written"):
         module.export(open_samples(source), folder, result, progress, **options)
     return result

@@ -134,7 +134,11 @@ class McapReader:
         self.statistics: Statistics | None = None
         self.compression = ""
         self.finished = len(self.data) > 2 * len(MAGIC) and self.data[-len(MAGIC) :] == MAGIC
-        self._unpacked: tuple[int, bytes] = (-1, b"")  # offset and content of the latest compressed chunk
+        # Offset and content of the latest compressed chunk; replaced as a whole, since threads share it.
+        self._unpacked: tuple[int, bytes] = (-1, b"")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_unpacked": (-1, b"")}
 
     def messages(self, only: Collection[str] = ()) -> Iterator[RecordedMessage | Damage]:
         """Iterate over the messages in the order of the file, and all damage, after which it continues at the next intact chunk.
@@ -299,7 +303,8 @@ class McapReader:
 
     def _unpack(self, record: Record) -> bytes:
         """Return the content of a chunk, as far as it unpacks."""
-        if self._unpacked[0] != record.offset:
+        at, content = self._unpacked
+        if at != record.offset:
             head = self._head(record)
             parts = list[bytes]()
             size = 0
@@ -309,8 +314,9 @@ class McapReader:
                 while size <= head.size and (part := stream.read1(_BLOCK)):
                     parts.append(part)
                     size += len(part)
-            self._unpacked = record.offset, b"".join(parts)
-        return self._unpacked[1]
+            content = b"".join(parts)
+            self._unpacked = record.offset, content
+        return content
 
     def _records(
         self, source: FileBytes | bytes, start: int, end: int, allowed: Collection[int]

@@ -2,13 +2,16 @@
 """Samples as NumPy archives: `<object>/<name>.npz`, one a sample; `foretouch.cloud.io.files` reads their clouds too."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
 
-from foretouch.cloud.io.files import archived_cloud, read_arrays
+from foretouch.cloud.io.arrays import read_arrays
+from foretouch.cloud.io.files import archived_cloud
 from foretouch.cloud.messages import cloud_fields, header_fields
 from foretouch.dataset.identity import Identity, check_id
 from foretouch.dataset.recording.sample_codec import StoredSample, sample_fields, stored_sample
@@ -134,21 +137,34 @@ def recognise(path: Path) -> bool:
 
 def open_set(path: Path, _: bool) -> SampleSet:
     """Return the samples in archives; a `FileError` names one that is none, or of another hand."""
-    files = _files(path)
-    first = _read(files[0])
-
-    def read(k: int) -> Sample:
-        stored, own, other = _read(files[k])
-        if own != first.identity or other.sha256 != first.sensor.sha256:
-            raise FileError(files[k], f"is of another hand, camera or sensor than {files[0]}")
-        return stored
-
+    archives = _Archives(tuple(_files(path)))
+    first = archives.first
     return SampleSet(
         path=path,
         kind="npz",
-        size=len(files),
-        read=read,
-        name=lambda k: str(files[k]),
+        size=len(archives.files),
+        read=archives.read,
+        name=archives.name,
         identity=first.identity,
         sensor=first.sensor,
     )
+
+
+@dataclass(frozen=True)
+class _Archives:
+    """Archives of samples of the same hand, camera and sensor."""
+
+    files: tuple[Path, ...]
+
+    @cached_property
+    def first(self) -> StoredSample:
+        return _read(self.files[0])
+
+    def read(self, number: int) -> Sample:
+        stored, own, other = _read(self.files[number])
+        if own != self.first.identity or other.sha256 != self.first.sensor.sha256:
+            raise FileError(self.files[number], f"is of another hand, camera or sensor than {self.files[0]}")
+        return stored
+
+    def name(self, number: int) -> str:
+        return str(self.files[number])

@@ -1,28 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """The samples of a dataset, whatever its format; `foretouch.dataset.formats` opens and exports them."""
 
+import operator
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from foretouch.dataset.identity import Identity
-from foretouch.errors import DatasetError
+from foretouch.errors import DatasetError, shown
 from foretouch.laboratory import needs_laboratory
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
-from foretouch.types import DISCARDED, AnyArray, Grasps, Sample
+from foretouch.types import DISCARDED, AnyArray, Bool, Grasps, Index, Sample
+from foretouch.types.summary import Summarised, briefly, counted, names_of
+from foretouch.types.tables import LabelledTable, Tabular, Variable, labels_of
 
 _SHOWN: Final = 64  # readings of a grasp by which dead taxels are found
 
 
-@dataclass(frozen=True, eq=False)
-class SampleSet:
-    """The samples of a dataset in order, read on demand and as often as needed."""
+@dataclass(frozen=True, eq=False, repr=False)
+class SampleSet(Summarised, Tabular):
+    """The samples of a dataset in order, read on demand and as often as needed, as they were when it was opened.
+
+    Threads and forked processes may read one set. A pickled one opens its files again where it is unpickled, which are found by
+    their absolute paths. It is a map-style dataset for the `DataLoader` of PyTorch (with `collate_fn=list`, since a sample is no
+    tensor): `len(samples)` and `samples[k]` count all samples, iteration leaves out those that the operator discarded.
+    """
 
     path: Path  # the dataset
     kind: str  # name of its format
@@ -35,8 +43,26 @@ class SampleSet:
     edits: tuple[str, ...] = ()  # descriptions of later changes
     sensor: Sensor = BIOTAC_SP  # that was read
 
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        return counted(self.size, "sample"), {
+            "path": shown(self.path, 80),
+            "format": self.kind,
+            "sensor": briefly(self.sensor),
+            "hand": names_of([f"{key} {value}" for key, value in self.identity.hand.items()]),
+            "camera": names_of([f"{key} {value}" for key, value in self.identity.camera.items()]),
+            "cut off": names_of([path.name for path in self.unfinished]),
+            "changed": names_of(self.edits),
+        }
+
     def __len__(self) -> int:
         return self.size
+
+    def __getitem__(self, number: int) -> Sample:
+        """Read a sample by its number, from the end if it is negative; an `IndexError` if there is none."""
+        number = operator.index(number)
+        if not -self.size <= number < self.size:
+            raise IndexError(f"{self.path}: there is no sample {number}, 0 to {self.size - 1}")
+        return self.read(number % self.size)
 
     def __iter__(self) -> Iterator[Sample]:
         """Return the samples in order, without those that the operator discarded."""
@@ -74,6 +100,26 @@ class SampleSet:
             **{channel.name: channels.part(touch, channel.name) for channel in channels.channels},
         }
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON: the sensor, and `samples`, each as `Sample.to_dict`."""
+        channels = self.sensor.channels
+        sensor = {"sensor": channels.sensor, "sensor_sha256": channels.sha256}
+        return {**sensor, "samples": [sample.to_dict() for sample in self]}
+
+    def _table(self) -> LabelledTable:
+        columns, channels = self.to_arrays(), self.sensor.channels
+        kinds = {channel.name: channel.unit for channel in channels.channels}
+        variables = {name: Variable(("sample",), columns[name]) for name in ("id", "object", "stamp_ns")}
+        variables |= {name: Variable(("sample", "axis"), columns[name], "m") for name in ("g1", "g2")}
+        variables["rotation"] = Variable(("sample", "axis", "hand_axis"), columns["rotation"])
+        for ending, values in (("", columns["touch"]), ("_tare", columns["tare"])):
+            for name, unit in kinds.items() if np.isfinite(values).any() else ():
+                part = channels.part(values, name)
+                variables[name + ending] = Variable(("sample", "finger", "taxel")[: part.ndim], part, unit)
+        return LabelledTable(
+            variables, labels_of(channels), {"sensor": channels.sensor, "sensor_sha256": channels.sha256}
+        )
+
     def split(self, kind: str = "object", seed: int = 0) -> list[tuple["SampleSet", "SampleSet"]]:
         """Split the labelled samples into parts to train and to test on; requires `foretouch[lab]`.
 
@@ -90,32 +136,54 @@ class SampleSet:
         """
         with needs_laboratory("split"):
             from foretouch_lab.learning.data.folds import make_folds
-        labelled = [k for k in range(self.size) if _is_labelled(self.read(k))]
-        folds = make_folds([self.read(k) for k in labelled], kind, seed)
-        return [
-            (self.subset([labelled[k] for k in fold.train]), self.subset([labelled[k] for k in fold.test]))
-            for fold in folds
-        ]
+        labelled = self.filter(_is_labelled)
+        folds = make_folds([*labelled], kind, seed)
+        return [(labelled.subset(fold.train), labelled.subset(fold.test)) for fold in folds]
 
-    def subset(self, numbers: Sequence[int]) -> "SampleSet":
+    def subset(self, numbers: Sequence[int] | Index | Bool) -> "SampleSet":
         """Return some samples by their numbers, in this order.
 
         Args:
-            numbers: From 0, of all samples.
+            numbers: From 0, of all samples; or (S,) bool, one for each of all samples.
 
         Raises:
             DatasetError: If there is no sample of a number.
         """
-        kept = list(numbers)
+        given = np.asarray([*numbers] if isinstance(numbers, Iterable) else numbers)
+        if given.dtype == np.bool_ and given.shape == (self.size,):
+            given = np.flatnonzero(given)
+        if given.ndim != 1 or (given.size and given.dtype.kind not in "iu"):
+            raise DatasetError(f"{self.path}: {shown(numbers, 80)} are not the numbers of samples, such as [0, 2]")
+        kept = tuple(given.astype(np.int64).tolist())
         if wrong := [k for k in kept if not 0 <= k < self.size]:
             raise DatasetError(f"{self.path}: {wrong[0]} is not the number of a sample, 0 to {self.size - 1}")
-        read = self.read
-        name = self.name
-        return replace(self, size=len(kept), read=lambda k: read(kept[k]), name=lambda k: name(kept[k]))
+        chosen = _Chosen(self, kept)
+        return replace(self, size=len(kept), read=chosen.read, name=chosen.name)
+
+    def filter(self, keep: Callable[[Sample], bool]) -> "SampleSet":
+        """Return the samples for which a function is true; it is asked now, once for each sample, also for discarded ones.
+
+        Args:
+            keep: Such as `lambda sample: sample.outcome == "success"`; it is not kept.
+        """
+        return self.subset([k for k, sample in enumerate(self.with_discarded()) if keep(sample)])
 
     def with_discarded(self) -> Iterator[Sample]:
         """Return the samples in order, also those that the operator discarded."""
         return (self.read(k) for k in range(self.size))
+
+
+class _Chosen(NamedTuple):
+    """Some samples of a set."""
+
+    samples: SampleSet
+    numbers: tuple[int, ...]
+
+    def read(self, number: int) -> Sample:
+        return self.samples.read(self.numbers[number])
+
+    def name(self, number: int) -> str:
+        return self.samples.name(self.numbers[number])
 
 
 def _is_labelled(sample: Sample) -> bool:

@@ -20,7 +20,7 @@ import struct
 from collections.abc import Iterable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple, Self
+from typing import Any, BinaryIO, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -117,9 +117,9 @@ class Store(Sequence[Sample]):
         """Content hash as the writer computed it."""
         return str(self.manifest["sha256"])
 
-    def __reduce__(self) -> tuple[type[Self], tuple[Path]]:
-        """Let another process open the store again."""
-        return type(self), (self.path,)
+    def __reduce__(self) -> tuple[Any, tuple[Path, str]]:
+        """Let another process open the store again, if it holds the same samples then."""
+        return _reopened, (self.path, self.sha256)
 
     def __len__(self) -> int:
         return int(self._starts[-1])
@@ -138,6 +138,10 @@ class Store(Sequence[Sample]):
         except (ForetouchError, ValueError) as err:
             raise FileError(self.path, " ".join(str(err).split()), field=f"sample {k}") from err
 
+    def name(self, index: int) -> str:
+        """Return where a sample is, for messages."""
+        return f"{self.path}[{index}]"
+
     def _verified_parts(self) -> list[_Part]:
         for part in self.manifest["files"]:
             _require_hash(self.path / part["file"], file_sha256(self.path / part["file"]), part["sha256"])
@@ -145,6 +149,14 @@ class Store(Sequence[Sample]):
         for shard in self.manifest["shards"]:
             parts += _read_shard(self.path / shard["file"], shard["sha256"], shard["samples"], self.sensor.channels)
         return parts
+
+
+def _reopened(path: Path, sha256: str) -> Store:
+    """Open a store again; a `FileError` if it holds other samples than before."""
+    store = Store(path)
+    if store.sha256 != sha256:
+        raise FileError(path, "was changed after it was opened: open it again")
+    return store
 
 
 def sample_digest(sample: Sample) -> bytes:
@@ -307,8 +319,8 @@ def open_set(path: Path, _: bool) -> SampleSet:
         path=path,
         kind="store",
         size=len(store),
-        read=lambda k: store[k],
-        name=lambda k: f"{path}[{k}]",
+        read=store.__getitem__,
+        name=store.name,
         identity=Identity(hand=about.get("hand", {}), camera=about.get("camera", {})),
         sensor=store.sensor,
     )

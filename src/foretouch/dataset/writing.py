@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.dataset.files import new_folder
-from foretouch.dataset.grasp_arrays import GraspArrays, Missing, Remarks, stamp_faults
-from foretouch.dataset.identity import Identity
+from foretouch.dataset.grasp_arrays import GraspArrays, Missing, Remarks
+from foretouch.dataset.identity import Identity, name_of
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
+from foretouch.dataset.stamps import stamp_faults
 from foretouch.errors import DatasetError, ForetouchError, shown
-from foretouch.files import system_errors
 from foretouch.grasp import closing_faults
 from foretouch.tactile.description import Sensor, load_sensor
 from foretouch.types import Grasps, Sample
@@ -45,11 +45,15 @@ def write(
     missing: Missing = "refuse",
     hand: Mapping[str, str] | None = None,
     camera: Mapping[str, str] | None = None,
+    min_free_mb: float = RecordingConfig().min_free_mb,
 ) -> WriteResult:
     """Write samples to a recorded dataset, which is created or extended.
 
+    All samples are in it at the end, or none if there is an error, so that the corrected call can be repeated. One process writes
+    a dataset at a time; another is refused.
+
     Args:
-        path: Folder of the dataset. A new one appears as a whole or not at all.
+        path: Folder of the dataset.
         samples: A dataset, or samples of any source: `Sample`, or mappings with the fields of `GraspArrays`, such as
             `{"object": "mug", "values": {"P_left": (T, M), "P_right": (T, M)}, "stamps_s": (T,), "rest": 40}`.
         sensor: Name or file of the description of the sensor. A dataset brings its own.
@@ -57,6 +61,7 @@ def write(
             reading before; "mask" stores them as taxels that were not read.
         hand: Name, serial number and so on of the hand; by default the name of the sensor.
         camera: The same of the camera; by default none.
+        min_free_mb: Disk space that is left free [MB], as in the recorder.
 
     Returns:
         The counts, and remarks on stamps and missing numbers, which are warned of, too.
@@ -77,7 +82,8 @@ def write(
         own = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
         facts = Identity()
     identity = Identity(
-        hand=hand or facts.hand or {"name": own.config.name}, camera=camera or facts.camera or {"name": "none"}
+        hand=_named("hand", hand) or facts.hand or {"name": own.config.name},
+        camera=_named("camera", camera) or facts.camera or {"name": "none"},
     )
     result, remarks = WriteResult(), Remarks()
     records: Iterator[Sample | Mapping[str, Any]] = iter(samples)
@@ -86,10 +92,15 @@ def write(
         raise DatasetError(f"samples: there is none to write to {path}; pass at least one sample")
 
     made = _made_of(chain(start, records), own, missing, remarks)
-    write_records(Path(path), made, identity, own, result, remarks=remarks)
+    write_records(Path(path), made, identity, own, result, remarks=remarks, min_free_mb=min_free_mb)
     for line in result.notes:
         warnings.warn(line, stacklevel=2)
     return result
+
+
+def _named(what: str, facts: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return the properties of a hand or a camera as texts."""
+    return {name_of(key, what): name_of(value, f"{what}.{shown(key)}") for key, value in (facts or {}).items()}
 
 
 def _made_of(
@@ -111,7 +122,10 @@ def _sample_of(number: int, record: object, sensor: Sensor, missing: Missing, re
     try:
         return GraspArrays(**record).sample(sensor, missing, remarks)
     except (TypeError, ValueError, AttributeError, ForetouchError) as err:  # of keys and values of other types
-        name = f"{record.get('object')}/{record.get('id') or number}"[:100]
+        given = record.get("id", "")
+        name = (
+            f"{shown(record.get('object'), 50)}/{number if isinstance(given, str) and not given else shown(given, 50)}"
+        )
         fault = str(err).removeprefix("GraspArrays.__init__() ")
         raise DatasetError(f"sample {number} ({name}): {fault}") from err
 
@@ -124,8 +138,11 @@ def write_records(
     result: WriteResult,
     progress: Callable[[], None] = lambda: None,
     remarks: Remarks | None = None,
+    min_free_mb: float = RecordingConfig().min_free_mb,
 ) -> None:
     """Write the records to a dataset and add to the result; their stamps are compared with the rate of the sensor.
+
+    All of them are in it at the end, or none if there is an error.
 
     Args:
         path: Folder of the dataset, which is created if it does not exist.
@@ -135,12 +152,13 @@ def write_records(
         result: Gets the counts and notes.
         progress: Called once a sample.
         remarks: Gets names of samples by flag, for the notes.
+        min_free_mb: Disk space that is left free [MB].
     """
     remarks = {} if remarks is None else remarks
     with ExitStack() as stack:
         folder = path if path.exists() else stack.enter_context(new_folder(path))
-        config = RecordingConfig(fsync_samples=0)  # synchronised once, at the end
-        with system_errors(path), RecordingWriter(folder, identity, config, sensor=sensor) as writer:
+        config = RecordingConfig(fsync_samples=0, min_free_mb=min_free_mb)  # synchronised once, at the end
+        with RecordingWriter(folder, identity, config, sensor=sensor, whole=True) as writer:
             for sample in records:
                 series = sample.readings
                 faults = (

@@ -11,8 +11,6 @@ Layout, schema version 2 (1 differs in the messages of its samples)::
       .lock                locked by the one process that writes
 """
 
-import fcntl
-import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -24,17 +22,15 @@ from foretouch.dataset.files import read_manifest, sealed, sync_folder
 from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording.sample_codec import OLD_VERSION, SCHEMA_VERSION
 from foretouch.errors import FileError
-from foretouch.files import open_own, open_regular, replace_files, require_schema, system_errors
+from foretouch.files import LOCK, PART, lock, open_regular, replace_files, require_schema, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in, with_sensor
 
 _FORMAT: Final = "foretouch-dataset"
 _MANIFEST: Final = "manifest.json"
 _SEAL: Final = "sha256"
-_LOCK: Final = ".lock"
 SESSIONS: Final = "sessions"  # in the manifest, as the next
 EDITS: Final = "edits"
-_PART: Final = f"{_MANIFEST}.part"
 
 
 def is_dataset(path: str | Path) -> bool:
@@ -100,24 +96,6 @@ def restate(path: Path, name: str, facts: Mapping[str, Any]) -> None:
         sync_folder(path)
 
 
-@contextmanager
-def lock(path: Path) -> Iterator[None]:
-    """Lock a dataset for writing, until the process ends at the latest; a `FileError` names another that is writing."""
-    file = path / _LOCK
-    fd = open_own(file, os.O_RDWR)
-    try:
-        try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as err:
-            holder = os.read(fd, 32).decode("ascii", "replace").strip()
-            raise FileError(path, f"process {holder or '?'} is writing this dataset: one recorder at a time") from err
-        os.ftruncate(fd, 0)
-        os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
-        yield
-    finally:
-        os.close(fd)
-
-
 def recorded_sensor(path: Path) -> Sensor:
     """Return the sensor of a dataset; a `FileError` for a damaged manifest, a `ConfigError` for a faulty description."""
     return sensor_in(_manifest(path), path / _MANIFEST)
@@ -125,12 +103,12 @@ def recorded_sensor(path: Path) -> Sensor:
 
 @contextmanager
 def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None) -> Iterator[None]:
-    """Lock a dataset of this hand, camera and sensor for writing (see `lock`); it is created if it does not exist."""
+    """Lock a dataset of this hand, camera and sensor for writing (see `files.lock`); it is created if it does not exist."""
     sensor = sensor or BIOTAC_SP
     with system_errors(path):  # such as a name that is too long
         is_other = path.exists() and not (path / _MANIFEST).exists()
         # A process that is killed before it has written the manifest leaves these two.
-        if is_other and not (path.is_dir() and all(entry.name in {_LOCK, _PART} for entry in path.iterdir())):
+        if is_other and not (path.is_dir() and all(_is_left_over(entry.name) for entry in path.iterdir())):
             raise FileError(path, "exists and is not a recorded dataset")
         path.mkdir(parents=True, exist_ok=True)
     with lock(path):
@@ -139,6 +117,10 @@ def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None
         else:
             _create_manifest(path, identity, sensor)
         yield
+
+
+def _is_left_over(name: str) -> bool:
+    return name == LOCK or (name.startswith(_MANIFEST) and name.endswith(PART))
 
 
 def _manifest(path: Path) -> dict[str, Any]:

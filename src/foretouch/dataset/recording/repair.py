@@ -24,7 +24,7 @@ from foretouch.dataset.files import sync_folder
 from foretouch.dataset.mcap_reader import MAGIC, Damage
 from foretouch.dataset.recording import folder
 from foretouch.dataset.recording.edits import EDITS, read_edits
-from foretouch.dataset.recording.folder import SESSIONS, is_dataset, lock, recorded_files, restate, stated
+from foretouch.dataset.recording.folder import SESSIONS, is_dataset, recorded_files, restate, stated
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
 from foretouch.dataset.recording.reader import readable, session_id
 from foretouch.dataset.recording.records import MessageCounts, RecordingFile, TopicCounts
@@ -38,7 +38,7 @@ from foretouch.dataset.recording.sample_codec import (
 )
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import FileError, VersionError, described
-from foretouch.files import free_name, system_errors
+from foretouch.files import free_name, lock, system_errors
 
 _CHUNK_BYTES: Final = 4_000_000
 

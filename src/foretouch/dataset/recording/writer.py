@@ -38,7 +38,7 @@ from foretouch import __version__
 from foretouch.config import Settings, setting
 from foretouch.dataset.identity import Identity, check_name, id_number, numbered_id
 from foretouch.dataset.recording.edits import Edit, append_edit
-from foretouch.dataset.recording.folder import SESSIONS, new_session_path, opened_to_write, restate
+from foretouch.dataset.recording.folder import SESSIONS, new_session_path, opened_to_write, restate, session_files
 from foretouch.dataset.recording.mcap_file import McapFile
 from foretouch.dataset.recording.reader import known_sessions, recorded_ids
 from foretouch.dataset.recording.records import MessageCounts
@@ -52,6 +52,7 @@ from foretouch.dataset.recording.sample_codec import (
     sample_types,
 )
 from foretouch.errors import DatasetError, FileError, ForetouchError
+from foretouch.files import PART, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Sample
@@ -82,6 +83,8 @@ class RecordingWriter:
         identity: Hand and camera; must equal the dataset's.
         config: Settings.
         sensor: Which is read, by default the BioTac SP; must be the dataset's sensor.
+        whole: Whether the session appears in the dataset at its end, or not at all if the block ends with an exception or the disk
+            is full. Otherwise each sample is there once it was appended.
 
     Raises:
         FileError: If another process records into the dataset, or it is of another hand, camera, sensor, version or format,
@@ -95,8 +98,10 @@ class RecordingWriter:
         config: RecordingConfig | None = None,
         *,
         sensor: Sensor | None = None,
+        whole: bool = False,
     ) -> None:
         self.path = Path(path)
+        self._whole = whole
         self.identity = identity
         self.sensor = sensor or BIOTAC_SP
         self.config = config or RecordingConfig()
@@ -116,20 +121,30 @@ class RecordingWriter:
             self._ids = recorded_ids(self.path)  # each is used once, and numbers continue those before
             self._last_number = max(map(id_number, self._ids), default=0)
             self.file = new_session_path(self.path)
-            self.output = McapFile(self.file)  # once it is `removed`, nothing more should be recorded
+            part = self.file.with_name(f"{self.file.name}{PART}")
+            for left in self.path.glob(f"session-*{PART}"):  # of a process that was killed, since this one has the lock
+                left.unlink()
+            if whole:
+                stack.callback(part.unlink, missing_ok=True)
+            self.output = McapFile(
+                part if whole else self.file
+            )  # once it is `removed`, nothing more should be recorded
             stack.callback(self.output.abandon)
-            session = uuid4().hex
-            self.output.write_metadata(ABOUT, {**_about(self.file.stem, identity), "id": session})
+            self._session = uuid4().hex
+            self.output.write_metadata(ABOUT, {**_about(self.file.stem, identity), "id": self._session})
             self.output.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
             self._sync()
-            restate(self.path, SESSIONS, {**known_sessions(self.path), self.file.name: session})
+            if not whole:
+                self._state()
             self._release = stack.pop_all()
         self._flushed_s = self._counted_s = time.monotonic()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._whole and kind is not None:
+            self._discard()
         self.close()
 
     @property
@@ -286,8 +301,10 @@ class RecordingWriter:
         if not sample.id:
             sample = replace(sample, id=numbered_id(sample.object, self._last_number + 1))
         if sample.id in self._ids:
-            text = f"id {sample.id} is taken; `foretouch dataset build` joins datasets with equal ids"
-            raise DatasetError(f"{self.path.name}: {text}")
+            cure = (
+                "give another id, or write to another dataset; `foretouch dataset build` joins datasets with equal ids"
+            )
+            raise DatasetError(f"{self.path.name}: id {sample.id} is taken: {cure}")
         return sample
 
     def _require_open(self) -> None:
@@ -333,6 +350,9 @@ class RecordingWriter:
     def _stop(self, rule: str, reason: str, cause: ForetouchError | None = None) -> None:
         """End the session because the disk is full or failed."""
         self._pending, self._pending_bytes = [], 0
+        if self._whole:
+            self._discard()
+            raise FileError(self.path, f"{rule}: nothing was added") from cause
         with suppress(FileError):  # no space for the index: the chunks remain, and `repair` creates one
             self._end(reason)
         kept = f"the session has ended, its {self.samples} samples are in the file"
@@ -351,6 +371,19 @@ class RecordingWriter:
             else:
                 self._write_counts()
                 self.output.finish()
+                if self._whole and (self.samples or not session_files(self.path)):
+                    with system_errors(self.file):
+                        self.output.path.rename(self.file)
+                    self._state()
+
+    def _state(self) -> None:
+        """Let the manifest list the session."""
+        restate(self.path, SESSIONS, {**known_sessions(self.path), self.file.name: self._session})
+
+    def _discard(self) -> None:
+        """End a session that appears as a whole, without it."""
+        self.closed = True
+        self._release.close()
 
     def _count_removed(self) -> str:
         """Count the content of a file that was removed as dropped; says what is lost."""

@@ -13,6 +13,7 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.config import setting
 from foretouch.ros.messages.clouds import objects_to_msg
+from foretouch.ros.messages.placement import Placement
 from foretouch.ros.messages.requests import (
     RefusalError,
     RequestedGrasps,
@@ -28,6 +29,7 @@ from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Answer, Input, ProcessingConfig, ProcessingNode
 from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.steps.camera_input import CameraInput, CameraInputSettings
+from foretouch.ros.steps.frames import Frames
 from foretouch.ros.steps.grasping import GraspSettings, GraspStep, stream_config
 from foretouch.ros.steps.segmentation import SegmentationSettings, SegmentationStep
 from foretouch.ros.steps.services import TouchServices
@@ -64,8 +66,8 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
     exclusive_topics = ("objects", GRASPS_TOPIC, "touch")
 
     def _setup(self) -> None:
-        stream = Stream(stream_config(self.config))
-        self._planner, self._touch = GraspStep(self, stream), TouchStep(self)
+        self._frames, stream = Frames(self), Stream(stream_config(self.config))
+        self._planner, self._touch = GraspStep(self, stream), TouchStep(self, self._frames)
         self.steps = (self._planner, self._touch, TouchServices(self, self._touch))
         if self.config.input == "objects":  # subscriptions come last, so that no answer is lost
             super()._setup()
@@ -78,13 +80,17 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
         header = item.header
         if self.config.input == "objects":
             objects, table = item.content[CLOUD_TOPIC], item.content["table"]
-            targets = Targets(header, read_objects(objects, table, self.config.limits), lambda: objects)
+            placement = self._frames.placement(header)
+            found = read_objects(objects, table, self.config.limits)
+            targets = Targets(header, found, lambda: objects, placement=placement)
             return self._answer_targets(targets, table.status, table.reason)
         cloud = self._camera.cloud(item.content)
+        placement = self._frames.placement(header)
         scene = self._segmentation.segment(cloud)
         message = partial(objects_to_msg, scene.targets, header.frame_id, stamp_ns(header.stamp))
-        answer = self._answer_targets(Targets(header, scene.targets, message), status_code(scene.status), scene.reason)
-        objects_first = (self._segmentation, partial(self._segmentation.publish, header, scene))
+        targets = Targets(header, scene.targets, message, placement=placement)
+        answer = self._answer_targets(targets, status_code(scene.status), scene.reason)
+        objects_first = (self._segmentation, partial(self._segmentation.publish, header, scene, placement))
         return answer._replace(publish=[objects_first, *answer.publish])
 
     def _answer_targets(self, targets: Targets, status: int, reason: str) -> Answer:
@@ -103,7 +109,8 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
         else:
             status, reason = grasps.status, grasps.reason
             publish_touch = partial(touch.refuse, header, status, reason)
-        return Answer(status, reason, [(planner, partial(planner.publish, grasps)), (touch, publish_touch)])
+        publish_grasps = partial(planner.publish, grasps, targets.answered_in)
+        return Answer(status, reason, [(planner, publish_grasps), (touch, publish_touch)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,16 +125,16 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     exclusive_topics = ("objects",)
 
     def _setup(self) -> None:
-        self._step = SegmentationStep(
-            self, Stream(stream_config(self.config))
-        )  # before subscribing, so that no answer is lost
+        self._frames, stream = Frames(self), Stream(stream_config(self.config))
+        self._step = SegmentationStep(self, stream)  # before subscribing, so that no answer is lost
         self._camera = CameraInput(self, self._receive)
         self.steps = (self._step, self._camera)
 
     def _answer(self, item: Input) -> Answer:
         cloud = self._camera.cloud(item.content)
+        placement = self._frames.placement(item.header)
         scene = self._step.segment(cloud)
-        publish = [(self._step, partial(self._step.publish, item.header, scene))]
+        publish = [(self._step, partial(self._step.publish, item.header, scene, placement))]
         return Answer(status_code(scene.status), scene.reason, publish)
 
 
@@ -144,17 +151,17 @@ class GraspNode(MatchingNode[GraspNodeConfig]):
     exclusive_topics = (GRASPS_TOPIC,)
 
     def _setup(self) -> None:
-        self._step = GraspStep(
-            self, Stream(stream_config(self.config))
-        )  # before subscribing, so that no answer is lost
+        self._frames, stream = Frames(self), Stream(stream_config(self.config))
+        self._step = GraspStep(self, stream)  # before subscribing, so that no answer is lost
         self.steps = (self._step,)
         super()._setup()
 
     def _answer(self, item: Input) -> Answer:
         table = item.content["table"]
         targets = read_objects(item.content[CLOUD_TOPIC], table, self.config.limits)
+        placement = self._frames.placement(item.header)
         message, _ = self._step.plan(targets, item.header, table.reason)
-        return Answer(message.status, message.reason, [(self._step, partial(self._step.publish, message))])
+        return Answer(message.status, message.reason, [(self._step, partial(self._step.publish, message, placement))])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +178,8 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
 
     def _setup(self) -> None:
         self._tables: dict[int, TablePlane] = {}  # by stamp [ns]
-        self._step = TouchStep(self)  # before subscribing, so that no answer is lost
+        self._frames = Frames(self)
+        self._step = TouchStep(self, self._frames)  # before subscribing, so that no answer is lost
         self.steps = (self._step, TouchServices(self, self._step))
         self.subscribe(InputTopic("table", TablePlane), self._remember_table)
         super()._setup()
@@ -195,15 +203,17 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
         """Read the objects of a cloud, and remember them for requests if their table is known."""
         table, limits = self._tables.get(stamp_ns(cloud.header.stamp)), self.config.limits
         objects: tuple[Object, ...] = ()
+        placement: Placement | None = None
         refusal: RefusalError | None = None
         try:
+            placement = self._frames.placement(cloud.header)
             objects = read_targets(cloud, ASSUMED_TABLE, limits)  # as if the camera looked straight down
             if table is not None:
                 plane, obstacles = read_table(table, cloud.header)
                 objects = tuple(replace(target, plane=plane, obstacles=obstacles) for target in objects)
         except RefusalError as err:
             refusal = err
-        targets = Targets(cloud.header, objects, lambda: cloud, refusal)
+        targets = Targets(cloud.header, objects, lambda: cloud, refusal, placement)
         if table is not None:
             self._step.latest = targets
         return targets
