@@ -298,8 +298,6 @@ def test_a_file_named_as_a_hand_or_sensor_of_the_package_is_not_taken_for_it(
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["0.1", "0.076"]
     assert load_sensor("biotac_sp").config.name == "biotac_sp"
-    (tmp_path / "franka_hand").write_text(_described({"opening_m": 0.05}), encoding="utf-8")
-    assert HandConfig(name="./franka_hand").opening == 0.05  # one's own file of such a name
 
 
 def test_a_hand_whose_file_is_edited_or_removed_stays_as_it_was_for_the_plans_of_its_settings(tmp_path: Path) -> None:

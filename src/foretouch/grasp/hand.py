@@ -379,8 +379,7 @@ def load_hand(hand: str | Path) -> Hand:
     """Read a description, once, and again when its file was changed.
 
     Args:
-        hand: The name of a description that comes with the package, such as `franka_hand`, or a YAML file; a file of such a
-            name is `./franka_hand`.
+        hand: The name of a description that comes with the package, such as `franka_hand`, or a YAML file.
 
     Raises:
         ConfigError: If there is none, or it breaks a rule; names file, field and rule.

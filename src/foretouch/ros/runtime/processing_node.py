@@ -149,7 +149,7 @@ class ProcessingNode(ForetouchNode[_P]):
                     publish()
                 except Exception as err:  # noqa: BLE001  what the other steps have published stays their answer
                     status, reason = Status.FAILED, self.internal_errors.report(self.get_name(), err)
-                    step.refuse(item.header, status, reason)
+                    self.internal_errors.guarded(self.get_name(), step.refuse)(item.header, status, reason)
         self.statistics.use(item.arrived, age_s)
         self._note(status, reason)
 
