@@ -230,7 +230,7 @@ class DepthImage:
     def millimetres(self) -> npt.NDArray[np.uint16] | None:
         """(H, W) uint16, the image as it was received; None where its unit is not the millimetre."""
         same = self._kind is np.uint16 and self._scale == _MILLIMETRE
-        return self._depth.view() if same else None
+        return np.asarray(self._depth, np.uint16) if same else None
 
     @property
     def shape(self) -> tuple[int, int]:
