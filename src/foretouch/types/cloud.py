@@ -67,7 +67,7 @@ class Cloud(Summarised):
         stamp_ns: int = 0,
         rgb: UInt8 | None = None,
     ) -> "Cloud":
-        """Make the organised cloud of a depth image.
+        """Make the organised cloud of a depth image, which is copied: the next image may be written into the same buffer.
 
         Args:
             depth: (H, W) uint16, float32 or float64, distance along the optical axis. 0, NaN and infinity are no depth.
@@ -89,7 +89,8 @@ class Cloud(Summarised):
             K = CameraModel.of(K, width, height, distortion)  # noqa: N806
         elif distortion is not None:
             raise CloudError("distortion: is given twice, here and in the CameraModel")
-        return DepthCloud.of(DepthImage(image, K, scale), rgb, frame_id, stamp_ns)
+        colours = None if rgb is None else np.array(np.ma.filled(rgb, 0))
+        return DepthCloud.of(DepthImage(image, K, scale), colours, frame_id, stamp_ns)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         finite = int(np.count_nonzero(np.isfinite(self.xyz[..., 2])))
