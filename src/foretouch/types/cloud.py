@@ -52,6 +52,8 @@ class Cloud(Summarised):
                 raise CloudError(f"rgb: shape {self.rgb.shape} differs from xyz, {self.xyz.shape}")
             if self.rgb.dtype != np.uint8:
                 raise CloudError(f"rgb: dtype {self.rgb.dtype} is not uint8")
+        if not isinstance(self.camera, CameraModel | None):
+            raise CloudError(f"camera: {type(self.camera).__name__} is not a CameraModel")
         if self.camera is not None and self.camera.shape != self.xyz.shape[:-1]:
             raise CloudError(f"camera: {self.camera.shape} is not the size of the image, {self.xyz.shape[:-1]}")
 

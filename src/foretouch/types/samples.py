@@ -7,7 +7,7 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from foretouch.errors import DatasetError, shown
+from foretouch.errors import DatasetError, none_of, shown
 from foretouch.types.arrays import AnyArray, Float32, Int64, UInt8, plain
 from foretouch.types.cloud import NO_CLOUD, Cloud
 from foretouch.types.grasps import NO_GRASP, Grasp
@@ -20,6 +20,8 @@ HOLD: Final = 2
 
 DISCARDED: Final = "discarded"
 """Flag of a sample that the operator discarded: it stays in the recording, and builds and exports leave it out."""
+
+_LATEST_NS: Final = 2**63  # where stamps end
 
 Outcome = Literal["unknown", "success", "failure"]
 
@@ -79,6 +81,19 @@ class Sample(Summarised):
     flags: tuple[str, ...] = ()  # such as `arrival_stamped`
 
     def __post_init__(self) -> None:
+        for name in ("id", "object", "note", "detector"):
+            if not isinstance(getattr(self, name), str):
+                raise DatasetError(f"{name}: {shown(getattr(self, name))} is not a text")
+        stamps = [0 if stamp is None else stamp for stamp in (self.stamp_ns, self.contact_ns, self.pairing_error_ns)]
+        if not all(isinstance(stamp, int | np.integer) and abs(stamp) < _LATEST_NS for stamp in stamps):
+            raise DatasetError(
+                f"stamp_ns, contact_ns, pairing_error_ns: {shown(stamps)} are not whole numbers of nanoseconds"
+            )
+        for name, kind in (("touch", Touch), ("tare", Touch), ("series", TouchSeries)):
+            if not isinstance(value := getattr(self, name), kind | None):
+                raise DatasetError(f"{name}: {type(value).__name__} is not a {kind.__name__}")
+        if not isinstance(self.outcome, str) or self.outcome not in OUTCOMES:
+            raise DatasetError(f"outcome: {none_of(self.outcome, OUTCOMES)}")
         if self.series is not None and self.touch is not None:
             shape = (len(self.series.stamps_ns), self.touch.channels.size)
             if self.series.counts.shape != shape:
