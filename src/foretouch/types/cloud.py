@@ -202,9 +202,9 @@ def _as_float32(xyz: Any) -> Float32:
 
 
 def _check_header(frame_id: object, stamp_ns: object) -> None:
-    if type(frame_id) is not str and not isinstance(frame_id, str):
+    if not isinstance(frame_id, str):
         raise CloudError(f"frame_id: {quoted(frame_id)} is not a text")
-    if not isinstance(stamp_ns, int | np.integer) or not -(2**63) <= stamp_ns < 2**63:
+    if not isinstance(stamp_ns, (int, np.integer)) or not -(2**63) <= stamp_ns < 2**63:
         raise CloudError(f"stamp_ns: {quoted(stamp_ns)} is not a whole number of nanoseconds")
 
 

@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import NoneType
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
@@ -52,6 +53,17 @@ class TouchSeries(Summarised):
                 raise DatasetError(f"series.{name}: shape {array.shape} is not {shape}")
 
 
+_STAMPS: Final = ("stamp_ns", "contact_ns", "pairing_error_ns")
+_TYPES: Final[dict[str, tuple[Any, str]]] = {
+    **dict.fromkeys(("id", "object", "note", "detector", "outcome"), (str, "a text")),
+    **dict.fromkeys(("touch", "tare"), ((Touch, NoneType), "a Touch")),
+    "series": ((TouchSeries, NoneType), "a TouchSeries"),
+    "stamp_ns": ((int, np.integer), "a whole number of nanoseconds"),
+    **dict.fromkeys(_STAMPS[1:], ((int, np.integer, NoneType), "a whole number of nanoseconds")),
+}
+"""Types of fields, and what they are in words; the cloud may not have been read yet."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Sample(Summarised):
     """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>), and what was recorded with it.
@@ -81,18 +93,14 @@ class Sample(Summarised):
     flags: tuple[str, ...] = ()  # such as `arrival_stamped`
 
     def __post_init__(self) -> None:
-        for name in ("id", "object", "note", "detector"):
-            if not isinstance(getattr(self, name), str):
-                raise DatasetError(f"{name}: {shown(getattr(self, name))} is not a text")
-        stamps = [0 if stamp is None else stamp for stamp in (self.stamp_ns, self.contact_ns, self.pairing_error_ns)]
-        if not all(isinstance(stamp, int | np.integer) and abs(stamp) < _LATEST_NS for stamp in stamps):
-            raise DatasetError(
-                f"stamp_ns, contact_ns, pairing_error_ns: {shown(stamps)} are not whole numbers of nanoseconds"
-            )
-        for name, kind in (("touch", Touch), ("tare", Touch), ("series", TouchSeries)):
-            if not isinstance(value := getattr(self, name), kind | None):
-                raise DatasetError(f"{name}: {type(value).__name__} is not a {kind.__name__}")
-        if not isinstance(self.outcome, str) or self.outcome not in OUTCOMES:
+        values = vars(self)
+        for name, (kinds, what) in _TYPES.items():
+            if not isinstance(values[name], kinds):
+                raise DatasetError(f"{name}: {shown(values[name])} is not {what}")
+        for name in _STAMPS:
+            if not -_LATEST_NS < (values[name] or 0) < _LATEST_NS:
+                raise DatasetError(f"{name}: {shown(values[name])} is no time [ns]")
+        if self.outcome not in OUTCOMES:
             raise DatasetError(f"outcome: {none_of(self.outcome, OUTCOMES)}")
         if self.series is not None and self.touch is not None:
             shape = (len(self.series.stamps_ns), self.touch.channels.size)

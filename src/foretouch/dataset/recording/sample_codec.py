@@ -21,7 +21,6 @@ import re
 import struct
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -250,7 +249,7 @@ def _properties_text(facts: Mapping[str, str]) -> str:
 
 def _grasp_of(message: Any, score: float) -> Grasp:
     """Return the grasp in a decoded `foretouch_msgs/Grasp`, whose rotation is taken as it is."""
-    return replace(decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3)), score=score)
+    return decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3), score)
 
 
 @functools.lru_cache(maxsize=16)
