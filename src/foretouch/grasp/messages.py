@@ -34,6 +34,7 @@ STATUSES: Final = {
     14: "no_plane",
     15: "no_object",
     16: "no_target",
+    17: "doubtful_plane",
     20: "no_grasp",
     21: "bad_grasp",
     22: "bad_plane",
