@@ -6,6 +6,7 @@ import pytest
 from experiment_samples import cell_rows, make_collection
 from own_predictors import Memory
 
+from foretouch import fit
 from foretouch.errors import ConfigError
 from foretouch.tactile import MODALITIES
 from foretouch_lab.experiments import find_experiment
@@ -98,6 +99,18 @@ def test_tables_and_picture_show_all_rows(table: list[Row], tmp_path) -> None:
     assert any(note.startswith(f"{MINE}: ") for note in tables[-1].notes)
     (picture,) = experiment.draw(timed, tmp_path)
     assert picture.stat().st_size > 10_000
+
+
+def test_a_model_folder_is_used_as_it_is_and_its_training_grasps_are_left_out(data: Dataset, tmp_path) -> None:
+    seen = [sample for sample in data.samples if sample.object != "wood"]
+    folder = tmp_path / "mine"
+    fit(seen, "contact-v3", calibrate=False, contact={"trees": 3}).save(folder)
+    rows, settings = cell_rows("leaderboard", data, **QUICK, models=[str(folder)], splits=["random"])
+    table = find_experiment("leaderboard").tabulate(settings, rows)
+    (total,) = select(table, predictor=str(folder), modality=MEAN)
+    assert (total["samples"], total["objects"], len(total["hash"])) == (12, 1, 16)
+    assert "given as it is; 84 samples that it was trained on are left out" in total["note"]
+    assert total["vs_best"] is None  # it was not scored on the same grasps
 
 
 def test_what_cannot_be_a_row_is_refused(data: Dataset) -> None:
