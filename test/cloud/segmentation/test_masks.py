@@ -91,6 +91,15 @@ def test_bad_masks_are_refused_by_name(cloud, labels):
     assert off.status in ("no_object", "no_plane")
 
 
+def test_masked_pixels_of_a_mask_are_no_object(cloud, labels):
+    half = np.arange(labels.shape[1]) > np.median(np.nonzero(labels)[1])
+    part = np.where(half, 0, labels)
+    hidden = np.broadcast_to(half, labels.shape)
+    scenes = [segment_mask(cloud, mask, CONFIG) for mask in (part, np.ma.masked_array(labels, hidden))]
+    assert scenes[0].counts == scenes[1].counts
+    np.testing.assert_array_equal(scenes[0].labels, scenes[1].labels)
+
+
 def test_255_labels_are_255_objects_or_named(cloud, labels):
     rows, columns = np.indices(labels.shape)
     tiles = (rows // 30 * 16 + columns // 40) % 255 + 1

@@ -87,7 +87,10 @@ def segment_mask(cloud: Cloud, mask: npt.ArrayLike, config: SegmentationConfig) 
 
 def _checked(mask: npt.ArrayLike, cloud: Cloud) -> Int32:
     """Return (H, W) int32 labels of a mask that fits the image."""
-    labels = np.asarray(mask)
+    try:
+        labels = np.asarray(np.ma.filled(mask, 0))  # masked pixels are no object
+    except ValueError as err:
+        raise CloudError(f"mask: {err}") from err
     if not cloud.organised:
         raise CloudError(
             f"mask: the cloud is a list of {cloud.size} points; a mask needs an image, such as of Cloud.from_depth"
