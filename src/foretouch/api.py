@@ -188,7 +188,7 @@ def evaluate(
         workers: Number of processes.
 
     Returns:
-        The scores, which print as a table. `records()` has its rows, `scores` all numbers, and `notes` how each model was held out.
+        The scores; `print` shows them as a table. `records()` has its rows, `scores` all numbers, and `notes` how each model was held out.
 
     Raises:
         DatasetError: If there are too few samples, or none is held out.

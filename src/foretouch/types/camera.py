@@ -37,6 +37,7 @@ _TOGETHER: Final = 16_384  # pixels that are undone at a time, so that the array
 _STEPS: Final = 12  # of Newton's method; three are usual
 _EXACT: Final = 1e-9  # residual of a ray that counts as undone
 _MILLIMETRE: Final = 1e-3
+_UNITS: Final = (_MILLIMETRE, 1e-4)  # of depth images [m]
 _NEAREST_M, _FARTHEST_M = 0.02, 100.0  # between them is the middle depth of any image of a depth camera
 _SAMPLED: Final = 4096  # pixels of which the middle depth is taken
 
@@ -290,13 +291,20 @@ def _check_unit(depth: npt.NDArray[Any], kind: np.dtype[Any], scale: float) -> N
         if positive.size:
             break
     else:
+        if (depth < 0).any():
+            raise CloudError(
+                "depth: is negative wherever it is not 0: it is the distance along the optical axis; for z of a renderer, "
+                "which looks along -z, pass -depth"
+            )
         return
     middle = float(np.partition(positive, positive.size // 2)[positive.size // 2]) * scale
     if _NEAREST_M <= middle <= _FARTHEST_M:
         return
     far = middle > _FARTHEST_M
+    fits = [unit for unit in _UNITS if _NEAREST_M <= middle / scale * unit <= _FARTHEST_M] if far else []
+    tenths = f"; for tenths of them {_UNITS[1]:g} ({middle / scale * _UNITS[1]:.3g} m)" if _UNITS[1] in fits else ""
     cure = (
-        "for millimetres pass scale=0.001 (--depth-scale 0.001; on a topic publish 16UC1)"
+        f"for millimetres pass scale=0.001 (--depth-scale 0.001; on a topic publish 16UC1){tenths}"
         if far
         else "for metres pass scale=1 (--depth-scale 1; on a topic publish 32FC1)"
     )
