@@ -84,6 +84,7 @@ def test_objects_are_detections_in_the_frame_of_the_results_where_their_package_
         assert_allclose([size.x, size.y, size.z], high - low, atol=1e-9)
         (result,) = detection.results
         assert (detection.id, result.hypothesis.class_id) == (one.id, "object")
+        assert result.hypothesis.score == pytest.approx(one.confidence, abs=1e-6)
         assert result.pose.pose.position == one.centroid
     points.publish(cloud_to_msg(Cloud(np.full((4, 4, 3), np.nan, np.float32), frame_id="cam")))
     graph.until(lambda: len(heard) == 2)

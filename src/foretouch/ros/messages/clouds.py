@@ -167,7 +167,8 @@ def detections_to_msg(objects: Sequence[Object], placement: Placement, kinds: Mo
         x, y, z = map(float, high - low)
         centre = Pose(position=point_to_msg((low + high) / 2.0))
         result = kinds.ObjectHypothesisWithPose()
-        result.hypothesis.class_id, result.hypothesis.score = "object", 1.0
+        result.hypothesis.class_id = "object"
+        result.hypothesis.score = 1.0 if object_.confidence is None else object_.confidence
         result.pose.pose = Pose(position=point_to_msg(placement.points(object_.centroid)))
         box = kinds.BoundingBox3D(center=centre, size=Vector3(x=x, y=y, z=z))
         detections.append(kinds.Detection3D(header=placement.header, results=[result], bbox=box, id=object_.id))
