@@ -167,7 +167,7 @@ class CameraModel(Summarised):
         Raises:
             CloudError: If the image has another size or type, or the unit is not plausible. The message names it.
         """
-        return DepthImage(depth, self, scale).points()
+        return DepthImage(depth, self, scale, copy=False).points()
 
 
 class DepthImage:
@@ -177,12 +177,16 @@ class DepthImage:
         depth: See `CameraModel.points`.
         camera: Its camera.
         scale: See `CameraModel.points`.
+        copy: Whether the numbers are copied, since the points are made of them later. Otherwise nobody may write into `depth` any
+            more.
 
     Raises:
         CloudError: As `CameraModel.points`.
     """
 
-    def __init__(self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None) -> None:
+    def __init__(
+        self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None, *, copy: bool = True
+    ) -> None:
         depth = as_image(depth)
         height, width = check_image(depth)
         if (height, width) != camera.shape:
@@ -197,7 +201,7 @@ class DepthImage:
         self.camera = camera
         self._kind: type[np.uint16 | np.float32] = np.uint16 if kind == np.uint16 else np.float32
         with np.errstate(over="ignore"):  # what float32 cannot hold is no depth
-            self._depth = np.ascontiguousarray(depth, self._kind)
+            self._depth = np.array(depth, self._kind, order="C") if copy else np.ascontiguousarray(depth, self._kind)
         self._scale = scale
         self._rays = camera.rays
 
