@@ -5,6 +5,7 @@ The ray of each pixel depends on the camera only. It is computed once for a came
 float32; each image then takes two multiplications a pixel. Distortion is undone there too, so that it costs nothing later.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, Self
@@ -32,9 +33,11 @@ _WIDEST: Final = 4.0  # largest x / z of a pixel, 76 degrees from the axis
 _NARROWEST: Final = 0.01  # smallest x / z at the side of an image, 0.6 degrees from the axis
 _OFF_CENTRE: Final = 0.12  # of the side, between its middle and the principal point of a whole image
 _UNDONE: Final = 0.5  # of the pixels must have a ray
+_TOGETHER: Final = 16_384  # pixels that are undone at a time, so that the arrays stay in the processor's cache
 _STEPS: Final = 12  # of Newton's method; three are usual
 _EXACT: Final = 1e-9  # residual of a ray that counts as undone
 _MILLIMETRE: Final = 1e-3
+_UNITS: Final = (_MILLIMETRE, 1e-4)  # of depth images [m]
 _NEAREST_M, _FARTHEST_M = 0.02, 100.0  # between them is the middle depth of any image of a depth camera
 _SAMPLED: Final = 4096  # pixels of which the middle depth is taken
 
@@ -164,7 +167,7 @@ class CameraModel(Summarised):
         Raises:
             CloudError: If the image has another size or type, or the unit is not plausible. The message names it.
         """
-        return DepthImage(depth, self, scale).points()
+        return DepthImage(depth, self, scale, copy=False).points()
 
 
 class DepthImage:
@@ -174,12 +177,16 @@ class DepthImage:
         depth: See `CameraModel.points`.
         camera: Its camera.
         scale: See `CameraModel.points`.
+        copy: Whether the numbers are copied, since the points are made of them later. Otherwise nobody may write into `depth` any
+            more.
 
     Raises:
         CloudError: As `CameraModel.points`.
     """
 
-    def __init__(self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None) -> None:
+    def __init__(
+        self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None, *, copy: bool = True
+    ) -> None:
         depth = as_image(depth)
         height, width = check_image(depth)
         if (height, width) != camera.shape:
@@ -194,7 +201,7 @@ class DepthImage:
         self.camera = camera
         self._kind: type[np.uint16 | np.float32] = np.uint16 if kind == np.uint16 else np.float32
         with np.errstate(over="ignore"):  # what float32 cannot hold is no depth
-            self._depth = np.ascontiguousarray(depth, self._kind)
+            self._depth = np.array(depth, self._kind, order="C") if copy else np.ascontiguousarray(depth, self._kind)
         self._scale = scale
         self._rays = camera.rays
 
@@ -223,6 +230,12 @@ class DepthImage:
         counts, flat = np.empty(2, np.int64), self._depth.reshape(-1)
         _COUNT[self._kind](flat, flat.size, self._c_rays(*self._rays), low_m, high_m, counts)
         return int(counts[0]), int(counts[1])
+
+    @property
+    def millimetres(self) -> npt.NDArray[np.uint16] | None:
+        """(H, W) uint16, the image as it was received; None where its unit is not the millimetre."""
+        same = self._kind is np.uint16 and self._scale == _MILLIMETRE
+        return np.asarray(self._depth, np.uint16) if same else None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -288,13 +301,20 @@ def _check_unit(depth: npt.NDArray[Any], kind: np.dtype[Any], scale: float) -> N
         if positive.size:
             break
     else:
+        if (depth < 0).any():
+            raise CloudError(
+                "depth: is negative wherever it is not 0: it is the distance along the optical axis; for z of a renderer, "
+                "which looks along -z, pass -depth"
+            )
         return
     middle = float(np.partition(positive, positive.size // 2)[positive.size // 2]) * scale
     if _NEAREST_M <= middle <= _FARTHEST_M:
         return
     far = middle > _FARTHEST_M
+    fits = [unit for unit in _UNITS if _NEAREST_M <= middle / scale * unit <= _FARTHEST_M] if far else []
+    tenths = f"; for tenths of them {_UNITS[1]:g} ({middle / scale * _UNITS[1]:.3g} m)" if _UNITS[1] in fits else ""
     cure = (
-        "for millimetres pass scale=0.001 (--depth-scale 0.001; on a topic publish 16UC1)"
+        f"for millimetres pass scale=0.001 (--depth-scale 0.001; on a topic publish 16UC1){tenths}"
         if far
         else "for metres pass scale=1 (--depth-scale 1; on a topic publish 32FC1)"
     )
@@ -322,22 +342,25 @@ def _rays(camera: CameraModel) -> tuple[_Float32, _Float32]:
     x = ((np.arange(camera.width) - camera.cx) / camera.fx)[None]
     y = ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None]
     if camera.distortion:
-        full = np.zeros(camera.shape)
-        x, y = _undistorted(x + full, y + full, camera.distortion)
+        undistort, full = _undistortion(camera.distortion), np.empty((2, *camera.shape), np.float32)
+        rows = max(1, _TOGETHER // camera.width)
+        for top in range(0, camera.height, rows):
+            full[:, top : top + rows] = undistort(*np.broadcast_arrays(x, y[top : top + rows]))
+        x, y = full
         undone = np.count_nonzero(np.isfinite(x)) / x.size
         if undone < _UNDONE:
             raise CloudError(
                 f"distortion: {list(camera.distortion)} cannot be undone for {1.0 - undone:.0%} of the pixels: "
                 "are they k1, k2, p1, p2, k3, k4, k5, k6?"
             )
-    rays = x.astype(np.float32), y.astype(np.float32)
+    rays = x.astype(np.float32, copy=False), y.astype(np.float32, copy=False)
     for ray in rays:
         ray.flags.writeable = False
     return rays
 
 
-def _undistorted(u: _Float64, v: _Float64, distortion: tuple[float, ...]) -> tuple[_Float64, _Float64]:
-    """Undo OpenCV's distortion of rays (H, W) by Newton's method; NaN where no ray has that image.
+def _undistortion(distortion: tuple[float, ...]) -> Callable[[_Float64, _Float64], tuple[_Float64, _Float64]]:
+    """Make a function that undoes OpenCV's distortion of rays (H, W) by Newton's method; NaN where no ray has that image.
 
     It starts at the ray that radial distortion alone would have moved there. Rays are sought up to where the image of a ray
     that is farther from the axis is nearer to it again: beyond, a lens folds.
@@ -350,11 +373,14 @@ def _undistorted(u: _Float64, v: _Float64, distortion: tuple[float, ...]) -> tup
         slope = (k1 + s * (2.0 * k2 + s * 3.0 * k3)) - over / under * (k4 + s * (2.0 * k5 + s * 3.0 * k6))
         return over / under, slope / under
 
+    radii = np.linspace(0.0, _WIDEST, 4001)
     with np.errstate(all="ignore"):
-        radii = np.linspace(0.0, _WIDEST, 4001)
         images = radii * radial(radii * radii)[0]
-        folded = np.flatnonzero(~(np.diff(images) > 0.0))
-        end = int(folded[0]) + 1 if len(folded) else len(radii)
+    folded = np.flatnonzero(~(np.diff(images) > 0.0))
+    end = int(folded[0]) + 1 if len(folded) else len(radii)
+
+    @np.errstate(all="ignore")
+    def undistorted(u: _Float64, v: _Float64) -> tuple[_Float64, _Float64]:
         distance = np.hypot(u, v)
         ratio = np.interp(distance, images[:end], radii[:end]) / np.maximum(distance, 1e-12)
         x, y = np.where(distance > 0.0, u * ratio, 0.0), np.where(distance > 0.0, v * ratio, 0.0)
@@ -372,4 +398,6 @@ def _undistorted(u: _Float64, v: _Float64, distortion: tuple[float, ...]) -> tup
             determinant = xx * yy - xy * xy
             x, y = x - (yy * a - xy * b) / determinant, y - (xx * b - xy * a) / determinant
         undone = (largest < _EXACT) & (np.sqrt(x * x + y * y) <= radii[end - 1])
-    return np.where(undone, x, np.nan), np.where(undone, y, np.nan)
+        return np.where(undone, x, np.nan), np.where(undone, y, np.nan)
+
+    return undistorted
