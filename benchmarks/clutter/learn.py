@@ -38,11 +38,11 @@ TWICE: Final = ("arr", "behind")  # sets whose pairs count twice: large objects 
 HELD_OUT: Final = 10  # every so many piles, with all their views, are not learned from
 DEPTH, RATE = 5, 0.15
 ROUNDS: Final = (150, 250)  # trees that learn from simulated images alone
-LAST: Final = 350  # trees that learn from real images too
+LAST: Final = 400  # trees that learn from real images too
 OTHER_VARIANTS: Final = 4  # of each simulated image, in the last round
 REAL_VARIANTS: Final = 6  # of each real image, half as many where a source has many
 MANY: Final = 20  # images of a source
-REAL_SHARE: Final = (
+REAL_SHARE: Final = 0.35(
     0.3  # of the weight of simulated pairs that real ones have; of each source by the root of its number
 )
 NONE_SHARE: Final = 0.25  # of the weight of other pairs, that pairs of what is no object have
@@ -312,7 +312,7 @@ def write(trees: Float32, scores: dict[str, float], simulated: tuple[int, int, s
     save_file({"trees": trees}, parts.TREES)
     card = {
         "what": "log odds that two fragments of a cluster are one object, from the features of `describe` in kernels/split.c",
-        "made_by": "python -m benchmarks.clutter.learn",
+        "made_by": "the code of python -m benchmarks.clutter.learn",
         "versions": {name: import_module(name).__version__ for name in ("numpy", "scipy", "sklearn", "mujoco")},
         "learned_from": f"{pairs} pairs of fragments in {images} simulated images of random objects, each in several variants: as of a Kinect and of cameras that match windows, nearer, cut off",
         "earlier_trees": {"sha256": teacher, "weight": TRUST} if teacher else {},

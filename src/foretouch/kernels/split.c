@@ -686,7 +686,7 @@ static void find_sole_parts(graph *g) {
         for (int64_t j = 0; j < g->w; j++) {
             cell *c = g->cells + i * g->w + j;
             c->inside = c->part;
-            for (int64_t y = i ? i - 1 : 0; y <= i + 1 && y < g->h; y++) {
+            for (int64_t y = i ? i - 1 : 0; c->part && y <= i + 1 && y < g->h; y++) {
                 for (int64_t x = j ? j - 1 : 0; x <= j + 1 && x < g->w; x++) {
                     const int32_t part = g->cells[y * g->w + x].part;
                     c->inside = part && part != c->part ? 0 : c->inside;

@@ -190,7 +190,7 @@ def test_the_kernel_finds_the_parts_of_its_reference(monkeypatch: pytest.MonkeyP
         assert min(_iou(one, other.labels)) > least, name
         pairs = zip(one.objects, other.objects, strict=True)
         apart = [abs(a.confidence - b.confidence) for a, b in pairs]
-        assert max(apart, default=0.0) < (0.1 if name == "two balls" else 0.02), (name, apart)
+        assert max(apart, default=0.0) < (0.2 if name == "two balls" else 0.02), (name, apart)
     rules = {rule: sum(our.counts[rule] for our in ours.values()) for rule in SPLIT_COUNTS[2:]}
     assert all(rules.values()), rules
 

@@ -17,6 +17,7 @@ from foretouch.cloud.geometry.frames import TANGENT, not_optical
 from foretouch.cloud.geometry.pixel_grid import listed_image
 from foretouch.cloud.segmentation.background import REASONS, find_background
 from foretouch.cloud.segmentation.clusters import (
+    LOCAL_FACTOR,
     NOISE_FACTOR,
     ClusterConfig,
     CoarseGrid,
@@ -211,7 +212,8 @@ def _threshold(plane: Plane, noise_per_m: float, sample: Float32, config: Segmen
     on = sample[np.abs(plane.height(sample)) < config.plane.threshold_m]
     depth_m = median((on if len(on) else sample[finite_rows(sample)])[:, 2])
     least_m, least_per_m = config.clusters.min_height_m, NOISE_FACTOR * noise_per_m
-    return HeightThreshold(plane, least_m, least_per_m, _HIGHEST_M, depth_m, noise_per_m)
+    local_per_m = least_per_m / LOCAL_FACTOR  # where no windows are measured, as in a list
+    return HeightThreshold(plane, least_m, least_per_m, _HIGHEST_M, depth_m, local_per_m)
 
 
 def _image_of(cloud: Cloud) -> DepthImage | None:
