@@ -42,15 +42,13 @@ LAST: Final = 400  # trees that learn from real images too
 OTHER_VARIANTS: Final = 4  # of each simulated image, in the last round
 REAL_VARIANTS: Final = 6  # of each real image, half as many where a source has many
 MANY: Final = 20  # images of a source
-REAL_SHARE: Final = 0.35(
-    0.3  # of the weight of simulated pairs that real ones have; of each source by the root of its number
-)
+REAL_SHARE: Final = 0.35  # of the weight of simulated pairs; of each source by the root of its number
 NONE_SHARE: Final = 0.25  # of the weight of other pairs, that pairs of what is no object have
-TRUST, KNOWN, LEAST = (
-    0.6,
-    0.5,
-    0.02,
-)  # weight of earlier trees beside the truth, their mean log loss in images that they know, and what counts
+TRUST: Final = (
+    0.75  # weight of earlier trees, in images that they know: whose pairs they rate with a mean log loss below
+)
+KNOWN: Final = 0.5
+LEAST: Final = 0.02  # weight of a pair that counts
 FEATURES: Final = 64  # of a pair of fragments, see `describe` of kernels/split.c
 LESS, MORE = (0,), (2, 6, 7)  # concave borders tell against one object; convex ones, and surfaces that agree, for it
 # Of the first round: joined across borders that bend by less than 26 degrees.
