@@ -172,7 +172,7 @@ def label_series(
     hold: Bool | None = None,
     complete: Floating | None = None,
 ) -> SeriesLabel:
-    """Label the readings around one grasp: the same rules and flags whoever recorded them.
+    """Label the readings around one grasp, by the same rules and flags for every source.
 
     Args:
         stamps_ns: (T,) int64 ascending stamps [ns].
