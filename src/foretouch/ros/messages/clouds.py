@@ -2,6 +2,7 @@
 """Depth images, clouds and objects to messages."""
 
 import array
+import math
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, Final
@@ -131,6 +132,7 @@ def object_to_msg(object_: Object, placement: Placement, *, target: bool) -> Obj
         minimum=point_to_msg(low),
         maximum=point_to_msg(high),
         target=target,
+        confidence=math.nan if object_.confidence is None else object_.confidence,
         indices=array.array("I", object_.pixels.astype(np.uint32).tobytes()),
     )
 
