@@ -218,7 +218,10 @@ class Plane(Summarised):
         object.__setattr__(self, "normal", normal)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
-        return f"normal {self.normal.round(3).tolist()}, offset {self.offset:.4g} m{', assumed' if self.assumed else ''}", {}
+        return (
+            f"normal {self.normal.round(3).tolist()}, offset {self.offset:.4g} m{', assumed' if self.assumed else ''}",
+            {},
+        )
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Self:
