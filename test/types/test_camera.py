@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth images to points: by hand, against librealsense, and against an inverse by SciPy and one of 40 digits."""
 
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,17 @@ def test_distortion_is_undone(distortion: tuple[float, ...]) -> None:
         np.testing.assert_allclose([x[row, column], y[row, column]], found.x, rtol=2e-7, atol=1e-7)
 
 
+def test_a_large_distorted_image_takes_the_memory_of_its_rays_and_little_more() -> None:
+    camera = CameraModel(2000, 1500, 1900.0, 1900.0, 1000.0, 750.0, (0.11, -0.23, 0.001, 0.002, 0.05))
+    tracemalloc.start()
+    x, y = camera.rays
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < x.nbytes + y.nbytes + 20e6
+    part = CameraModel(100, 75, 1900.0, 1900.0, 50.0, 37.5, camera.distortion)  # the middle of it, computed at once
+    np.testing.assert_allclose(x[712:787, 950:1050], part.rays[0], atol=1e-7)
+
+
 def test_points_of_a_distorted_image_are_on_its_rays() -> None:
     depth = np.random.default_rng(1).integers(0, 3000, (1, 40)).astype(np.uint16)
     for size in ((1, 40), (40, 1), (8, 5)):
@@ -146,7 +158,8 @@ def test_what_is_no_depth_image_is_refused_in_one_line_that_names_it() -> None:
         (r"K: cx, cy 211.75, 119.75 are far from the middle of 848x480: is it of another image size\?", depth, half),
         ("K: cx, cy 423.5, 239.5 are far from the middle of 640x480", depth[:, :640], K),
         ("K: cx, cy 423.5, 239.5 are far from the middle of 1280x720", np.full((720, 1280), 1.0), K),
-        ("K: .*could not convert", depth, "abc"),
+        ("K: abc is not of numbers: texts", depth, "abc"),
+        ("K: .*a number is too large", depth, [10**400] * 4),
         ("depth: 848x480 is not the size of the camera, 640x480", depth, CameraModel(640, 480, 525, 525, 320, 240)),
         ("depth: dtype uint8 .*: 8 bits hold no depth", depth.astype(np.uint8), K),
         (r"depth: shape \(480, 848, 3\) of a colour image is not \(H, W\)", np.zeros((480, 848, 3), np.uint8), K),

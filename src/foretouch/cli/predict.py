@@ -112,9 +112,10 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
     with needs_laboratory("--prequential"):
         from foretouch_lab.learning.prequential import replay_model
-    for name in ("tare", "touched", "grasp", "mask", "picture", "plane", "scene", "target", "hand", "pixel", "point"):
-        if getattr(arguments, name):
-            raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
+    unused = {*inputs.READ, *inputs.PLANNED, *inputs.CHOSEN, "--tare", "--touched", "--grasp"} - {"inputs"}
+    for option in sorted(unused):
+        if getattr(arguments, option.removeprefix("--").replace("-", "_")):
+            raise ConfigError(f"{option}: cannot be combined with --prequential")
 
     model = load_model(arguments.model or "default", arguments.predictor)
     channels = model.sensor.channels
@@ -157,6 +158,8 @@ def _grasps(
         pairs = np.array(arguments.grasp, dtype=np.float64).reshape(-1, 2, 3)
         return [pipeline.grasp_between(target, g1, g2) for g1, g2 in pairs], ""
     if item.sample is not None:
+        if arguments.hand:
+            raise ConfigError("--hand: is for planned grasps, and a sample has its own")
         return [item.sample.grasp], ""
     plan = pipeline.plan(target)
     if not plan.grasps:

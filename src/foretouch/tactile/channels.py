@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Bool, Float64, Touch
+from foretouch.types.arrays import numbers
 from foretouch.types.channels import Channels
 
 BIOTAC_SP: Final = packaged_sensor("biotac_sp")
@@ -47,7 +48,7 @@ _WIDEST: Final = 1e12  # [counts]
 
 def biotac_touch(values: npt.ArrayLike) -> Touch:
     """Return a reading of the BioTac SP from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
-    return Touch(np.array(values, np.float64), BIOTAC)
+    return Touch(numbers(values, "touch", TactileError).copy(), BIOTAC)
 
 
 @dataclass(frozen=True, eq=False)

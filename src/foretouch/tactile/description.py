@@ -18,8 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.config import Settings, load_yaml, setting
-from foretouch.errors import ConfigError, TactileError, nearest, none_of, shown
+from foretouch.config import Settings, description_file, load_description, require_units, setting
+from foretouch.errors import ConfigError, TactileError, none_of, shown
 from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.layout import MOST_TAXELS, ArrayConfig, Layout, present, read_layout, require_length
 from foretouch.types import Bool, Index
@@ -55,6 +55,7 @@ class FingerConfig(Settings):
         super().__post_init__()
         _check_names_and_paths(self)
         require_length(self, 3, "xyz", "rpy")
+        require_units(self, angles=["rpy"], lengths=["xyz"])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -327,18 +328,14 @@ def load_sensor(sensor: str | Path) -> Sensor:
     """Read a description and its taxels.
 
     Args:
-        sensor: A YAML file, or the name of a description that comes with the package, such as `biotac_sp`.
+        sensor: The name of a description that comes with the package, such as `biotac_sp`, or a YAML file.
 
     Raises:
         ConfigError: If there is none, or it breaks a rule; names file, field and rule.
         FileError: If the CSV file breaks a rule; names file, line and rule.
     """
-    path, known = Path(sensor), sensor_files()
-    if not path.is_file() and not path.suffix and len(path.parts) == 1:
-        if str(sensor) not in known:
-            raise ConfigError(f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(sensor, known)}")
-        path = known[str(sensor)]
-    config = SensorConfig.from_mapping(load_yaml(path), str(path))
+    path = description_file(sensor, sensor_files())
+    config = load_description(path, SensorConfig, "a sensor")
     layout = (
         config.array.layout(config.absent) if config.array else read_layout(path.parent / config.taxels, config.absent)
     )

@@ -5,6 +5,7 @@ The ray of each pixel depends on the camera only. It is computed once for a came
 float32; each image then takes two multiplications a pixel. Distortion is undone there too, so that it costs nothing later.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, Self
@@ -14,6 +15,7 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError, quoted
 from foretouch.kernels import Kernel, struct
+from foretouch.types.arrays import numbers
 from foretouch.types.summary import Summarised
 
 _Float32 = npt.NDArray[np.float32]
@@ -31,6 +33,7 @@ _WIDEST: Final = 4.0  # largest x / z of a pixel, 76 degrees from the axis
 _NARROWEST: Final = 0.01  # smallest x / z at the side of an image, 0.6 degrees from the axis
 _OFF_CENTRE: Final = 0.12  # of the side, between its middle and the principal point of a whole image
 _UNDONE: Final = 0.5  # of the pixels must have a ray
+_TOGETHER: Final = 16_384  # pixels that are undone at a time, so that the arrays stay in the processor's cache
 _STEPS: Final = 12  # of Newton's method; three are usual
 _EXACT: Final = 1e-9  # residual of a ray that counts as undone
 _MILLIMETRE: Final = 1e-3
@@ -68,11 +71,11 @@ class CameraModel(Summarised):
             if not isinstance(side, int | np.integer) or not 1 <= side <= _LARGEST_SIDE:
                 raise CloudError(f"{name}: {quoted(side)} px is not a whole number between 1 and {_LARGEST_SIDE}")
             object.__setattr__(self, name, int(side))
-        numbers = [_as_number("K", number) for number in (self.fx, self.fy, self.cx, self.cy)]
+        given = [_as_number("K", number) for number in (self.fx, self.fy, self.cx, self.cy)]
         names = ("fx", "fy", "cx", "cy")
-        if not numbers[0] and not numbers[1]:
+        if not given[0] and not given[1]:
             raise CloudError("K: fx and fy are 0: the camera is not calibrated")
-        for name, value in zip(names, numbers, strict=True):
+        for name, value in zip(names, given, strict=True):
             if not np.isfinite(value):
                 raise CloudError(f"K: {name} {value} is not finite")
             if name in {"cx", "cy"} and abs(value) > 10.0 * _LARGEST_SIDE:
@@ -107,19 +110,16 @@ class CameraModel(Summarised):
             CloudError: As the class, and if `K` has another form, a skew, or a principal point far from the middle, as the
                 K of another image size has.
         """
-        try:
-            numbers = np.asarray(K, np.float64)
-        except (TypeError, ValueError) as err:
-            raise CloudError(f"K: {err}") from err
-        if numbers.shape == (9,):
-            numbers = numbers.reshape(3, 3)
-        if numbers.shape == (3, 3):
-            if numbers.any() and (numbers[[0, 1, 2, 2], [1, 0, 0, 1]].any() or numbers[2, 2] != 1.0):
+        given = numbers(K, "K", CloudError)
+        if given.shape == (9,):
+            given = given.reshape(3, 3)
+        if given.shape == (3, 3):
+            if given.any() and (given[[0, 1, 2, 2], [1, 0, 0, 1]].any() or given[2, 2] != 1.0):
                 raise CloudError("K: is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-            numbers = numbers[[0, 1, 0, 1], [0, 1, 2, 2]]
-        if numbers.shape != (4,):
-            raise CloudError(f"K: shape {numbers.shape} is neither (3, 3) nor the four numbers fx, fy, cx, cy")
-        fx, fy, cx, cy = numbers.tolist()
+            given = given[[0, 1, 0, 1], [0, 1, 2, 2]]
+        if given.shape != (4,):
+            raise CloudError(f"K: shape {given.shape} is neither (3, 3) nor the four numbers fx, fy, cx, cy")
+        fx, fy, cx, cy = given.tolist()
         camera = cls(width, height, fx, fy, cx, cy, () if distortion is None else distortion)
         off = max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5))
         if off > _OFF_CENTRE:
@@ -182,6 +182,7 @@ class DepthImage:
     """
 
     def __init__(self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None) -> None:
+        depth = as_image(depth)
         height, width = check_image(depth)
         if (height, width) != camera.shape:
             raise CloudError(f"depth: {width}x{height} is not the size of the camera, {camera.width}x{camera.height}")
@@ -252,7 +253,7 @@ def _as_number(name: str, value: Any) -> float:
     """Return a number as float; a `CloudError` names the argument if it is none."""
     try:
         return float(value)
-    except (TypeError, ValueError) as err:
+    except (TypeError, ValueError, OverflowError) as err:
         raise CloudError(f"{name}: {quoted(value)} is not a number") from err
 
 
@@ -260,7 +261,7 @@ def as_image(depth: Any) -> npt.NDArray[Any]:
     """Return a depth image as an array; masked pixels are no depth. A `CloudError` if it is no array."""
     try:
         return np.asarray(np.ma.filled(depth, 0))
-    except ValueError as err:
+    except (ValueError, OverflowError) as err:
         raise CloudError(f"depth: {err}") from err
 
 
@@ -305,20 +306,17 @@ def _check_unit(depth: npt.NDArray[Any], kind: np.dtype[Any], scale: float) -> N
 
 def _coefficients(given: Any) -> tuple[float, ...]:
     """Return distortion coefficients without zeros at the end."""
-    try:
-        numbers = np.asarray(given, np.float64).ravel().tolist()
-    except (TypeError, ValueError) as err:
-        raise CloudError(f"distortion: {quoted(given)} is not a list of numbers ({err})") from err
-    if not np.isfinite(numbers).all():
-        raise CloudError(f"distortion: {numbers} is not finite")
-    while numbers and not numbers[-1]:
-        numbers.pop()
-    if len(numbers) > _COEFFICIENTS:
+    coefficients = numbers(given, "distortion", CloudError).ravel().tolist()
+    if not np.isfinite(coefficients).all():
+        raise CloudError(f"distortion: {coefficients} is not finite")
+    while coefficients and not coefficients[-1]:
+        coefficients.pop()
+    if len(coefficients) > _COEFFICIENTS:
         raise CloudError(
-            f"distortion: {len(numbers)} coefficients, more than the {_COEFFICIENTS} of {MODELS[1]} "
+            f"distortion: {len(coefficients)} coefficients, more than the {_COEFFICIENTS} of {MODELS[1]} "
             "(k1, k2, p1, p2, k3, k4, k5, k6): rectify the image"
         )
-    return tuple(numbers)
+    return tuple(coefficients)
 
 
 @lru_cache(maxsize=8)
@@ -326,22 +324,25 @@ def _rays(camera: CameraModel) -> tuple[_Float32, _Float32]:
     x = ((np.arange(camera.width) - camera.cx) / camera.fx)[None]
     y = ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None]
     if camera.distortion:
-        full = np.zeros(camera.shape)
-        x, y = _undistorted(x + full, y + full, camera.distortion)
+        undistort, full = _undistortion(camera.distortion), np.empty((2, *camera.shape), np.float32)
+        rows = max(1, _TOGETHER // camera.width)
+        for top in range(0, camera.height, rows):
+            full[:, top : top + rows] = undistort(*np.broadcast_arrays(x, y[top : top + rows]))
+        x, y = full
         undone = np.count_nonzero(np.isfinite(x)) / x.size
         if undone < _UNDONE:
             raise CloudError(
                 f"distortion: {list(camera.distortion)} cannot be undone for {1.0 - undone:.0%} of the pixels: "
                 "are they k1, k2, p1, p2, k3, k4, k5, k6?"
             )
-    rays = x.astype(np.float32), y.astype(np.float32)
+    rays = x.astype(np.float32, copy=False), y.astype(np.float32, copy=False)
     for ray in rays:
         ray.flags.writeable = False
     return rays
 
 
-def _undistorted(u: _Float64, v: _Float64, distortion: tuple[float, ...]) -> tuple[_Float64, _Float64]:
-    """Undo OpenCV's distortion of rays (H, W) by Newton's method; NaN where no ray has that image.
+def _undistortion(distortion: tuple[float, ...]) -> Callable[[_Float64, _Float64], tuple[_Float64, _Float64]]:
+    """Make a function that undoes OpenCV's distortion of rays (H, W) by Newton's method; NaN where no ray has that image.
 
     It starts at the ray that radial distortion alone would have moved there. Rays are sought up to where the image of a ray
     that is farther from the axis is nearer to it again: beyond, a lens folds.
@@ -354,11 +355,14 @@ def _undistorted(u: _Float64, v: _Float64, distortion: tuple[float, ...]) -> tup
         slope = (k1 + s * (2.0 * k2 + s * 3.0 * k3)) - over / under * (k4 + s * (2.0 * k5 + s * 3.0 * k6))
         return over / under, slope / under
 
+    radii = np.linspace(0.0, _WIDEST, 4001)
     with np.errstate(all="ignore"):
-        radii = np.linspace(0.0, _WIDEST, 4001)
         images = radii * radial(radii * radii)[0]
-        folded = np.flatnonzero(~(np.diff(images) > 0.0))
-        end = int(folded[0]) + 1 if len(folded) else len(radii)
+    folded = np.flatnonzero(~(np.diff(images) > 0.0))
+    end = int(folded[0]) + 1 if len(folded) else len(radii)
+
+    @np.errstate(all="ignore")
+    def undistorted(u: _Float64, v: _Float64) -> tuple[_Float64, _Float64]:
         distance = np.hypot(u, v)
         ratio = np.interp(distance, images[:end], radii[:end]) / np.maximum(distance, 1e-12)
         x, y = np.where(distance > 0.0, u * ratio, 0.0), np.where(distance > 0.0, v * ratio, 0.0)
@@ -376,4 +380,6 @@ def _undistorted(u: _Float64, v: _Float64, distortion: tuple[float, ...]) -> tup
             determinant = xx * yy - xy * xy
             x, y = x - (yy * a - xy * b) / determinant, y - (xx * b - xy * a) / determinant
         undone = (largest < _EXACT) & (np.sqrt(x * x + y * y) <= radii[end - 1])
-    return np.where(undone, x, np.nan), np.where(undone, y, np.nan)
+        return np.where(undone, x, np.nan), np.where(undone, y, np.nan)
+
+    return undistorted

@@ -9,8 +9,8 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import CloudError, shown
-from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8, numbers
+from foretouch.errors import CloudError, quoted, shown
+from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8, numbers, unmasked
 from foretouch.types.camera import CameraModel, DepthImage, as_image, check_image
 from foretouch.types.summary import Summarised
 
@@ -40,13 +40,14 @@ class Cloud(Summarised):
     camera: CameraModel | None = None  # whose rays the points of the image are on; None if it is not known
 
     def __post_init__(self) -> None:
-        if not isinstance(self.xyz, np.ndarray) or self.xyz.dtype != np.float32:
+        _check_header(self.frame_id, self.stamp_ns)
+        if type(self.xyz) is not np.ndarray or self.xyz.dtype != np.float32:
             object.__setattr__(self, "xyz", _as_float32(self.xyz))
         if self.xyz.ndim not in (2, 3) or self.xyz.shape[-1] != 3:
             raise CloudError(f"xyz: shape {self.xyz.shape} is neither (N, 3) nor (H, W, 3)")
         if self.rgb is not None:
-            if not isinstance(self.rgb, np.ndarray):
-                object.__setattr__(self, "rgb", np.asarray(self.rgb))
+            if type(self.rgb) is not np.ndarray:
+                object.__setattr__(self, "rgb", np.asarray(np.ma.filled(self.rgb, 0)))
             if self.rgb.shape != self.xyz.shape:
                 raise CloudError(f"rgb: shape {self.rgb.shape} differs from xyz, {self.xyz.shape}")
             if self.rgb.dtype != np.uint8:
@@ -184,15 +185,24 @@ class DepthCloud(Cloud):
 
 
 def _as_float32(xyz: Any) -> Float32:
-    """Convert an array of numbers to float32; what float32 cannot hold becomes infinite, which is no point."""
+    """Convert an array of numbers to float32; what is masked or missing is NaN, and what float32 cannot hold infinite: no points."""
     try:
-        numbers = np.asarray(xyz)
+        array = unmasked(xyz)
     except ValueError as err:
         raise CloudError(f"xyz: {err}") from err
-    if numbers.dtype.kind not in "fiu":
-        raise CloudError(f"xyz: dtype {numbers.dtype} is not of numbers")
+    if array.dtype == object:
+        array = numbers(array, "xyz", CloudError)
+    if array.dtype.kind not in "fiu":
+        raise CloudError(f"xyz: dtype {array.dtype} is not of numbers")
     with np.errstate(over="ignore"):
-        return numbers.astype(np.float32)
+        return array.astype(np.float32)
+
+
+def _check_header(frame_id: object, stamp_ns: object) -> None:
+    if type(frame_id) is not str and not isinstance(frame_id, str):
+        raise CloudError(f"frame_id: {quoted(frame_id)} is not a text")
+    if not isinstance(stamp_ns, int | np.integer) or not -(2**63) <= stamp_ns < 2**63:
+        raise CloudError(f"stamp_ns: {quoted(stamp_ns)} is not a whole number of nanoseconds")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -233,7 +243,7 @@ class Plane(Summarised):
         Raises:
             CloudError: If they or the offset are not finite, or (a, b, c) is zero.
         """
-        abcd = np.asarray(coefficients, dtype=np.float64)
+        abcd = numbers(coefficients, "plane", CloudError)
         if abcd.shape != (4,) or not np.isfinite(abcd).all():
             raise CloudError(f"plane: {coefficients!r} is not four finite numbers")
         largest = float(np.abs(abcd[:3]).max())
@@ -257,6 +267,11 @@ class Plane(Summarised):
         """The same plane, its normal on the side of the origin, where the camera is."""
         return replace(self, normal=-self.normal, offset=-self.offset) if self.offset < 0.0 else self
 
+    def moved(self, pose: Float64) -> "Plane":
+        """Return the same plane in another frame, in which `pose` (4, 4) is the frame of this one."""
+        normal = pose[:3, :3] @ self.normal
+        return replace(self, normal=normal, offset=self.offset - float(normal @ pose[:3, 3]))
+
     def height(self, xyz: Floating) -> Floating:
         """Compute the distance of points from the plane.
 
@@ -273,11 +288,19 @@ ASSUMED_TABLE = Plane(np.array([0.0, 0.0, 1.0]), -1.27, assumed=True)
 """The table of a cloud that holds only an object: seen from straight above, as in the public recordings."""
 
 
-def assumed_table(cloud: Cloud) -> Plane:
-    """Return the table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point."""
-    depths = cloud.xyz[..., 2]
-    depths = depths[np.isfinite(depths)]
-    return replace(ASSUMED_TABLE, offset=-float(depths.max())) if depths.size else ASSUMED_TABLE
+def assumed_table(cloud: Cloud, up: Float64 | None = None) -> Plane:
+    """Return the table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point.
+
+    Args:
+        cloud: Of the object.
+        up: (3,) float64 of unit length in its frame, where it is known what is up; then through the lowest point.
+    """
+    points = cloud.finite.astype(np.float64)
+    if not len(points):
+        return ASSUMED_TABLE
+    if up is not None:
+        return Plane(up, -float((points @ up).min()))
+    return replace(ASSUMED_TABLE, offset=-float(points[:, 2].max()))
 
 
 NO_CLOUD = Cloud(np.empty((0, 3), np.float32))

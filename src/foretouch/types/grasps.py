@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal, Self, overload
 import numpy as np
 
 from foretouch.errors import ForetouchError, GraspError, shown
-from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, plain
+from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain
 from foretouch.types.channels import NO_CHANNELS
 from foretouch.types.rotations import are_absent, check_rotation, quaternion_xyzw, require_rotations
 from foretouch.types.summary import Summarised, names_of, spread
@@ -37,6 +37,10 @@ class WayIn(Summarised):
     posture: Float64  # (J,) float64 [rad], angles of `joints`
     joints: tuple[str, ...] = ()  # names of J joints
     hand: str = ""  # its description: a name of the package, or the path of a YAML file
+
+    def moved(self, pose: Float64) -> Self:
+        """Return the same way in another frame, in which `pose` (4, 4) is the frame of this one."""
+        return replace(self, approach=pose[:3, :3] @ self.approach, pose_of_hand=pose @ self.pose_of_hand)
 
     def with_contacts_swapped(self) -> Self:
         """Return the same way to a grasp whose contacts have each other's names."""
@@ -108,6 +112,16 @@ class Grasp(Summarised):
                 "posture": dict(zip(way.joints, way.posture.tolist(), strict=True)),
             }
         return {key: plain(value) for key, value in record.items()}
+
+    def moved(self, pose: Float64) -> Self:
+        """Return the same grasp in another frame, in which `pose` (4, 4) is the frame of this one."""
+        return replace(
+            self,
+            g1=pose[:3, :3] @ self.g1 + pose[:3, 3],
+            g2=pose[:3, :3] @ self.g2 + pose[:3, 3],
+            rotation=pose[:3, :3] @ self.rotation,
+            way=None if self.way is None else self.way.moved(pose),
+        )
 
     @property
     def midpoint(self) -> Float64:
@@ -252,6 +266,15 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
 
     def __iter__(self) -> Iterator[Grasp]:
         return (self[k] for k in range(len(self)))
+
+    def moved(self, pose: Float64) -> Self:
+        """Return the same grasps in another frame, in which `pose` (4, 4) is the frame of these."""
+        return self.replace(
+            g1=self.g1 @ pose[:3, :3].T + pose[:3, 3],
+            g2=self.g2 @ pose[:3, :3].T + pose[:3, 3],
+            rotation=pose[:3, :3] @ self.rotation,
+            way=objects([None if way is None else way.moved(pose) for way in self.way]),
+        )
 
     @property
     def midpoint(self) -> Float64:

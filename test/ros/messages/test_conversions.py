@@ -128,6 +128,7 @@ def test_a_grasp_that_cannot_be_used_is_refused_by_name():
     every_case(cases, check)
     message = grasp_to_msg(UNIT)
     assert has_orientation(message)
+    assert not has_orientation(GraspMsg())  # w = 1
     message.rotation, message.pose.orientation.w = np.zeros(9), 0.0
     assert not has_orientation(message)
     with pytest.raises(GraspError, match="no orientation"):

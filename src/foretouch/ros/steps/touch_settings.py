@@ -11,6 +11,7 @@ from foretouch.grasp import GeoGraspConfig, HandConfig
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.registry import MODEL_WORDS, PREDICTOR_WORDS
 from foretouch.ros.messages.tactile import TactileInput
+from foretouch.ros.steps.frames import FrameSettings
 from foretouch_msgs.action import SampleGrasps
 
 PRESSURE: Final = SampleGrasps.Goal.PRESSURE
@@ -21,7 +22,7 @@ COSTS: Final = (PRESSURE, SCORE, HARDER_FINGER)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchSettings(ReachConfig, TactileInput):
+class TouchSettings(ReachConfig, TactileInput, FrameSettings):
     """Settings of the step, with the hand's reach and its tactile messages."""
 
     model: str = setting("default", MODEL_WORDS, read_only=True)
