@@ -200,7 +200,7 @@ class Scene(Summarised):
         """
         try:
             position = np.asarray(point, np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             position = np.empty(0)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise CloudError(f"point: {shown(point)} is not three finite numbers [m]")
