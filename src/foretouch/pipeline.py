@@ -162,7 +162,7 @@ class Pipeline(Summarised):
             status="ok" if chosen else "no_target",
             reason=reason or scene.reason,
             objects=objects,
-            targets=tuple(replace(target, flags=flags) for target in chosen),
+            targets=tuple(replace(target, flags=(*target.flags, *flags)) for target in chosen),
             obstacles=obstacles,
         )
 

@@ -238,7 +238,7 @@ def test_zeros_behind_the_coefficients_of_a_driver_are_no_distortion() -> None:
 @pytest.mark.real_data
 def test_images_of_others_are_depth_images(real_data: Path) -> None:
     files = sorted((real_data / "real_scenes").glob("*.npz"))
-    assert len(files) == 18
+    assert len(files) == 27
     for file in files:
         with np.load(file) as scene:
             depth, (fx, fy, cx, cy) = scene["depth_mm"], scene["K"]
