@@ -232,6 +232,12 @@ class DepthImage:
         return int(counts[0]), int(counts[1])
 
     @property
+    def millimetres(self) -> npt.NDArray[np.uint16] | None:
+        """(H, W) uint16, the image as it was received; None where its unit is not the millimetre."""
+        same = self._kind is np.uint16 and self._scale == _MILLIMETRE
+        return np.asarray(self._depth, np.uint16) if same else None
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self.camera.shape
