@@ -159,7 +159,7 @@ NOT_IN_ROSDEP = {
     "lzf",
 }
 OPTIONAL = ("lab", "sim", "hdf5", "tables", "camera", "sweep", "open3d", "view", "serve")
-ONLY_IN_FULL_ROS = {"sr_robot_msgs"}
+ONLY_IN_FULL_ROS = {"sr_robot_msgs", "tf2_ros"}
 COMES_WITH = {"mpl_toolkits": "matplotlib"}
 
 
@@ -195,11 +195,11 @@ def test_the_metadata_and_package_xml_require_what_is_imported() -> None:
     assert laboratory == set(required("lab"))
     assert not robot & laboratory
     declared = {one.text or "" for one in ET.parse(ROOT / "package.xml").getroot().findall("exec_depend")}
-    renamed = {"pil": "PIL"}
+    renamed = {"pil": "PIL", "tf2_ros_py": "tf2_ros"}
     modules = {renamed.get(name, name) for name in (one.removeprefix("python3-") for one in declared)}
     needed = imported("src", "launch")
     assert needed - modules - set(required(*OPTIONAL)) - ONLY_IN_FULL_ROS - NOT_IN_ROSDEP == set()
-    assert modules - needed == {"rviz2"}  # of a launch file
+    assert modules - needed == {"rviz2", "ros2launch", "vision_msgs"}  # of launch files, and found by name
 
 
 def test_the_installation_page_installs_what_rosdep_does_not_know() -> None:

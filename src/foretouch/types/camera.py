@@ -167,7 +167,7 @@ class CameraModel(Summarised):
         Raises:
             CloudError: If the image has another size or type, or the unit is not plausible. The message names it.
         """
-        return DepthImage(depth, self, scale).points()
+        return DepthImage(depth, self, scale, copy=False).points()
 
 
 class DepthImage:
@@ -177,12 +177,16 @@ class DepthImage:
         depth: See `CameraModel.points`.
         camera: Its camera.
         scale: See `CameraModel.points`.
+        copy: Whether the numbers are copied, since the points are made of them later. Otherwise nobody may write into `depth` any
+            more.
 
     Raises:
         CloudError: As `CameraModel.points`.
     """
 
-    def __init__(self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None) -> None:
+    def __init__(
+        self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None, *, copy: bool = True
+    ) -> None:
         depth = as_image(depth)
         height, width = check_image(depth)
         if (height, width) != camera.shape:
@@ -197,7 +201,7 @@ class DepthImage:
         self.camera = camera
         self._kind: type[np.uint16 | np.float32] = np.uint16 if kind == np.uint16 else np.float32
         with np.errstate(over="ignore"):  # what float32 cannot hold is no depth
-            self._depth = np.ascontiguousarray(depth, self._kind)
+            self._depth = np.array(depth, self._kind, order="C") if copy else np.ascontiguousarray(depth, self._kind)
         self._scale = scale
         self._rays = camera.rays
 
@@ -226,6 +230,12 @@ class DepthImage:
         counts, flat = np.empty(2, np.int64), self._depth.reshape(-1)
         _COUNT[self._kind](flat, flat.size, self._c_rays(*self._rays), low_m, high_m, counts)
         return int(counts[0]), int(counts[1])
+
+    @property
+    def millimetres(self) -> npt.NDArray[np.uint16] | None:
+        """(H, W) uint16, the image as it was received; None where its unit is not the millimetre."""
+        same = self._kind is np.uint16 and self._scale == _MILLIMETRE
+        return np.asarray(self._depth, np.uint16) if same else None
 
     @property
     def shape(self) -> tuple[int, int]:

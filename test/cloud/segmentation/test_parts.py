@@ -188,6 +188,9 @@ def test_the_kernel_finds_the_parts_of_its_reference(monkeypatch: pytest.MonkeyP
         assert ((one.labels > 0) == (other.labels > 0)).mean() > 0.9999, name
         least = 0.95 if name == "two balls" else 0.98  # a tiny fragment between two equal balls may be of either
         assert min(_iou(one, other.labels)) > least, name
+        pairs = zip(one.objects, other.objects, strict=True)
+        apart = [abs(a.confidence - b.confidence) for a, b in pairs]
+        assert max(apart, default=0.0) < (0.1 if name == "two balls" else 0.02), (name, apart)
     rules = {rule: sum(our.counts[rule] for our in ours.values()) for rule in SPLIT_COUNTS[2:]}
     assert all(rules.values()), rules
 
