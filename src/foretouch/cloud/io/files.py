@@ -103,7 +103,7 @@ def _read(path: Path, suffix: str, camera: DepthCamera) -> Cloud:
 
 
 def holds_points(path: Path) -> bool:
-    """Return whether a file holds points by its ending or the names in it; of a `.npy`, reading tells."""
+    """Return whether a file holds points by its ending or the names in it; of a `.npy`, reading shows."""
     suffix = path.suffix.lower()
     return suffix in _READERS or (
         suffix == ".npz" and ("xyz" in (names := {*array_names(path)}) or not names & _PER_METRE.keys())
