@@ -10,6 +10,7 @@ import numpy.typing as npt
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import TactileError
+from foretouch.files import as_path
 from foretouch.grasp.messages import decode_predictions
 from foretouch.laboratory import needs_laboratory
 from foretouch.models.touch_model import TouchModel
@@ -104,7 +105,7 @@ def open(path: str | Path) -> SampleSet:  # noqa: A001
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
     """
-    return open_samples(Path(path).absolute())
+    return open_samples(as_path(path).absolute())
 
 
 def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "contact-v3", **settings: Any) -> TouchModel:
@@ -180,14 +181,15 @@ def evaluate(
     Args:
         models: A model, a predictor as of `calibrate`, or the name of a recipe of `foretouch train`; or several of them by name.
         samples: Labelled samples, or the path of a dataset.
-        splits: What is left out: `random`, `time` and `object`, as of `SampleSet.split`.
+        splits: What is left out: `random`, `time` and `object`, as of `SampleSet.split`; and `touches`, the first three grasps on each
+            object left out in order of time, each adapted to the readings of those before.
         refit: Whether models and predictors are fitted again without the samples of each fold; by default predictors that can be.
             Models that are given as they are lose the samples that they were trained on.
         seed: Of random folds and of the baselines.
         workers: Number of processes.
 
     Returns:
-        The scores, which print as a table. `records()` has its rows, `scores` all numbers, and `notes` how each model was held out.
+        The scores; `print` shows them as a table. `records()` has its rows, `scores` all numbers, and `notes` how each model was held out.
 
     Raises:
         DatasetError: If there are too few samples, or none is held out.

@@ -45,7 +45,7 @@ class PipelineConfig(Summarised, Settings):
     model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
-        defaults = flattened(PipelineConfig().to_mapping())
+        defaults = flattened(type(self)().to_mapping())
         changed = {name: value for name, value in flattened(self.to_mapping()).items() if value != defaults.get(name)}
         return "other than the defaults:" if changed else "defaults", {k: shown(v) for k, v in changed.items()}
 
@@ -162,7 +162,7 @@ class Pipeline(Summarised):
             status="ok" if chosen else "no_target",
             reason=reason or scene.reason,
             objects=objects,
-            targets=tuple(replace(target, flags=flags) for target in chosen),
+            targets=tuple(replace(target, flags=(*target.flags, *flags)) for target in chosen),
             obstacles=obstacles,
         )
 

@@ -20,6 +20,7 @@ from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult, TargetR
 from foretouch.types import Cloud, Float64
 from foretouch.types.arrays import objects
 from foretouch.types.scene import Object, Scene
+from foretouch.types.summary import Summarised, briefly
 
 SELECTED: Final = "selected"
 """Flag of predictions on an object that a person selected, and start of the reason."""
@@ -41,12 +42,12 @@ class HoldConfig(Settings):
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class StreamConfig(PipelineConfig, HoldConfig):
     """Settings of a stream: of all steps, and of the grasps that are kept."""
 
 
-class Stream:
+class Stream(Summarised):
     """Answers the clouds of one camera, each once and in their order. Use it in one thread at a time.
 
     Args:
@@ -71,6 +72,12 @@ class Stream:
         self._identity = ObjectIdentity()
         self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
         self._held = GraspHold(_HOLD_TOLERANCE_M)
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        return self.note or "no object is selected", {
+            "config": briefly(self.config),
+            "history": "" if self.history is None else briefly(self.history),
+        }
 
     def configure(self, config: StreamConfig) -> None:
         """Use other settings, and forget only what followed from those that changed.

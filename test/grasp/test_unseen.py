@@ -64,9 +64,11 @@ def test_no_finger_is_planned_into_the_half_of_a_bottle_that_has_no_depth() -> N
 
 def test_grasps_that_end_beside_unseen_pixels_all_the_same_are_flagged_wherever_they_are_told() -> None:
     """In columns, rows, JSON, messages and predictions."""
+    cloud = ft.Cloud.from_depth(bottle(), (F, F, 159.5, 119.5))
+    (target,) = ft.segment(cloud).objects
     depth, ring = bottle(), np.hypot(_U, _V) * TOP_M
     depth[(ring > 0.034) & (ring < 0.075)] = 0  # nothing is seen around it
-    (target,) = ft.segment(ft.Cloud.from_depth(depth, (F, F, 159.5, 119.5))).objects
+    target = replace(target, image=ft.Cloud.from_depth(depth, (F, F, 159.5, 119.5)))
     grasps = ft.Pipeline(ft.PipelineConfig.from_mapping({"grasp.count": 3})).plan(target).grasps
     assert len(grasps) > 1
     assert grasps.flags.tolist() == len(grasps) * [(BESIDE_UNSEEN,)]

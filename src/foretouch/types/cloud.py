@@ -52,6 +52,8 @@ class Cloud(Summarised):
                 raise CloudError(f"rgb: shape {self.rgb.shape} differs from xyz, {self.xyz.shape}")
             if self.rgb.dtype != np.uint8:
                 raise CloudError(f"rgb: dtype {self.rgb.dtype} is not uint8")
+        if not isinstance(self.camera, CameraModel | None):
+            raise CloudError(f"camera: {type(self.camera).__name__} is not a CameraModel")
         if self.camera is not None and self.camera.shape != self.xyz.shape[:-1]:
             raise CloudError(f"camera: {self.camera.shape} is not the size of the image, {self.xyz.shape[:-1]}")
 
@@ -67,7 +69,7 @@ class Cloud(Summarised):
         stamp_ns: int = 0,
         rgb: UInt8 | None = None,
     ) -> "Cloud":
-        """Make the organised cloud of a depth image.
+        """Make the organised cloud of a depth image, which is copied: the next image may be written into the same buffer.
 
         Args:
             depth: (H, W) uint16, float32 or float64, distance along the optical axis. 0, NaN and infinity are no depth.
@@ -89,7 +91,8 @@ class Cloud(Summarised):
             K = CameraModel.of(K, width, height, distortion)  # noqa: N806
         elif distortion is not None:
             raise CloudError("distortion: is given twice, here and in the CameraModel")
-        return DepthCloud.of(DepthImage(image, K, scale), rgb, frame_id, stamp_ns)
+        colours = None if rgb is None else np.array(np.ma.filled(rgb, 0))
+        return DepthCloud.of(DepthImage(image, K, scale), colours, frame_id, stamp_ns)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         finite = int(np.count_nonzero(np.isfinite(self.xyz[..., 2])))
@@ -222,9 +225,9 @@ def _as_float32(xyz: Any) -> Float32:
 
 
 def _check_header(frame_id: object, stamp_ns: object) -> None:
-    if type(frame_id) is not str and not isinstance(frame_id, str):
+    if not isinstance(frame_id, str):
         raise CloudError(f"frame_id: {quoted(frame_id)} is not a text")
-    if not isinstance(stamp_ns, int | np.integer) or not -(2**63) <= stamp_ns < 2**63:
+    if not isinstance(stamp_ns, (int, np.integer)) or not -(2**63) <= stamp_ns < 2**63:
         raise CloudError(f"stamp_ns: {quoted(stamp_ns)} is not a whole number of nanoseconds")
 
 
