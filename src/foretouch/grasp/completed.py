@@ -42,7 +42,9 @@ _ANGLES = 24  # directions in half a turn
 _LINES = 17  # in each direction, next to the centre
 _STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
 _NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
-_END_SHARE = 0.03  # of the points of a line that are beyond either end
+_END_SHARE = 0.03  # of the points of a line that are beyond either end, while lines are compared
+_OUTER_SHARE, _OUTER_LEAST = 0.01, 2  # of the chosen line: the contacts are at the mean of its outermost points
+_UPRIGHT = 0.25  # of the points, which the camera sees nearly upright, so that their distances are those in the image
 _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
 _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
@@ -110,6 +112,7 @@ class CompletedObject:
         hand: What the hand can execute.
         obstacles: What stands around.
         shift: (3,) float64 [m], of the grasps, in the camera's frame.
+        neighbours: How many the distances in `spacing` are the mean of.
 
     Raises:
         CloudError: If no point has a weight.
@@ -123,8 +126,11 @@ class CompletedObject:
         hand: HandConfig,
         obstacles: Obstacles | None,
         shift: Float64,
+        neighbours: int,
     ) -> None:
         self._hand = hand
+        # Of an even grid with such distances; on average, an outline lies half a step beyond the outermost points.
+        self._step_m = float(np.quantile(spacing, _UPRIGHT)) / (2.0 / 3.0 * np.sqrt(neighbours / np.pi))
         self._obstacles = obstacles
         self.has_palm = hand.hand.limits_depth
         self._points, self._spacing = points, spacing
@@ -243,6 +249,8 @@ class CompletedObject:
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """Return both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves.
 
+        They are those by which lines are compared, which lie inside of the object (see `_END_SHARE`).
+
         Args:
             lines: The lines of the object.
             angle: Number of its direction.
@@ -251,8 +259,13 @@ class CompletedObject:
         values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
         return self._ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
 
-    def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """Return the contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused.
+    def outer_contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64] | None:
+        """Return the contacts of a line where the object ends; None if it is wider there than the hand opens."""
+        values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
+        return self._outer_ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
+
+    def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64] | None:
+        """Return the outer contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused.
 
         Args:
             lines: The lines of the object.
@@ -271,8 +284,27 @@ class CompletedObject:
         beside_m = _STEP_M * (line - _LINES // 2 + float((weight * _STEPS).sum()))
         measured = self._close(np.array([[turn, beside_m, float((around * heights).sum() / around.sum())]]), 1)[0, 0]
         if any(refused.any() for refused in self._refused(measured).values()):
-            return self.contacts(lines, angle, line)
-        return self._ends(turn, beside_m, *measured[:3].tolist())
+            return self.outer_contacts(lines, angle, line)
+        return self._outer_ends(turn, beside_m, *measured[:3].tolist())
+
+    def _outer_ends(
+        self, turn: float, beside_m: float, low: float, high: float, height: float
+    ) -> tuple[Float64, Float64] | None:
+        """Move the ends of a line outwards to where the object ends; None if that is wider than the hand opens.
+
+        It ends half a step of the grid of points beyond the outermost ones, at the height of a fingertip and above.
+        """
+        c, s = np.cos(turn), np.sin(turn)
+        x, y, z = self._xyz.T
+        near = (
+            (np.abs(c * y - s * x - beside_m) < _STEP_M) & (z > height - self._hand.tip_radius) & (self._weights > 0.0)
+        )
+        along = np.sort(c * x[near] + s * y[near])
+        most = max(_OUTER_LEAST, round(_OUTER_SHARE * len(along)))
+        if len(along) >= 2 * most:
+            low = min(low, float(along[:most].mean()) - 0.5 * self._step_m)
+            high = max(high, float(along[-most:].mean()) + 0.5 * self._step_m)
+        return None if high - low > self._hand.opening else self._ends(turn, beside_m, low, high, height)
 
     def _ends(self, turn: float, beside_m: float, low: float, high: float, height: float) -> tuple[Float64, Float64]:
         along = np.cos(turn) * self._basis[0] + np.sin(turn) * self._basis[1]
@@ -409,7 +441,7 @@ def best_grasps(
 ) -> list[tuple[tuple[Float64, Float64], WayIn, float]]:
     """Choose lines to which the hand can come, best first; each differs from all better ones by a contact.
 
-    Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`. The contact of the thumb
+    Lines to which it cannot are added to the counts `n_too_wide`, `n_too_deep` and `n_blocked`. The contact of the thumb
     is g1, where touch models expect it.
 
     Args:
@@ -430,8 +462,13 @@ def best_grasps(
         if (np.linalg.norm(taken - np.stack(ends), axis=2).max(axis=1, initial=0.0) < APART_M).any():
             continue
         taken = np.concatenate([taken, np.stack(ends)[None]])
-        if not chosen:
-            ends = completed.refined(lines, int(angle), int(line))
+        find = completed.outer_contacts if chosen else completed.refined
+        outer = find(lines, int(angle), int(line))
+        if outer is None:
+            lines.counts["n_too_wide"] += 1
+            lines.counts["n_free"] -= 1
+            continue
+        ends = outer
         way, blocked = completed.way_in(*ends)
         if way is None:
             lines.counts["n_blocked" if blocked else "n_too_deep"] += 1

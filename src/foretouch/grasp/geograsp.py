@@ -207,7 +207,8 @@ def _plan_completed(
             kept = xyz[weighted.inlier > 0.0]
             plan.slide_m = _random_slide(kept, plan.centroid, axis, config.slide_fraction, rng)
     with timed(plan.ms, "completion"):
-        completed = CompletedObject(weighted, spacing, plane, hand, obstacles, plan.slide_m * axis)
+        shift = plan.slide_m * axis
+        completed = CompletedObject(weighted, spacing, plane, hand, obstacles, shift, config.neighbours)
         counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
         lines = completed.lines()
