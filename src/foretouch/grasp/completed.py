@@ -43,7 +43,8 @@ _LINES = 17  # in each direction, next to the centre
 _STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
 _NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
 _END_SHARE = 0.03  # of the points of a line that are beyond either end, while lines are compared
-_OUTER_SHARE, _OUTER_LEAST = 0.01, 2  # of the chosen line: the contacts are at the mean of its outermost points
+_OUTER_SHARES = np.linspace(0.0025, 0.0125, 21)  # of the chosen line: its contacts are at the mean of these quantiles
+_INSIDE = 0.05  # of the distance between the ends of a line, by which the object is longer
 _UPRIGHT = 0.25  # of the points, which the camera sees nearly upright, so that their distances are those in the image
 _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
 _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
@@ -221,7 +222,7 @@ class CompletedObject:
         counts["n_too_deep"] = 0
         counts["n_free"] = int(np.count_nonzero(left))
         every = np.minimum(
-            np.nan_to_num(self._cost(high - low, slope, solid, deeper, raised), nan=_MOST_COST), _MOST_COST
+            np.nan_to_num(self._cost(self._width(low, high), slope, solid, deeper, raised), nan=_MOST_COST), _MOST_COST
         )
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
@@ -233,10 +234,14 @@ class CompletedObject:
         low, high, height, top, blocker = measured[:5]
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius),
-            "n_too_wide": high - low > self._hand.opening,
+            "n_too_wide": self._width(low, high) > self._hand.opening,
             "n_too_thin": high - low < _THIN_M,
             "n_blocked": blocker >= 0.0,
         }
+
+    def _width(self, low: Float64, high: Float64) -> Float64:
+        """Estimate how wide the object is, from the ends of lines [m]: these are means of points, which lie inside of it."""
+        return (1.0 + _INSIDE) * (high - low) + self._step_m
 
     def _cost(self, width: Float64, slope: Float64, solid: Float64, deeper: Float64, raised: Float64) -> Float64:
         """Return what speaks against each line, with the slopes of both ends (2, ...), how certainly the object is there, and the last two of `_close`."""
@@ -296,14 +301,12 @@ class CompletedObject:
         """
         c, s = np.cos(turn), np.sin(turn)
         x, y, z = self._xyz.T
-        near = (
-            (np.abs(c * y - s * x - beside_m) < _STEP_M) & (z > height - self._hand.tip_radius) & (self._weights > 0.0)
-        )
-        along = np.sort(c * x[near] + s * y[near])
-        most = max(_OUTER_LEAST, round(_OUTER_SHARE * len(along)))
-        if len(along) >= 2 * most:
-            low = min(low, float(along[:most].mean()) - 0.5 * self._step_m)
-            high = max(high, float(along[-most:].mean()) + 0.5 * self._step_m)
+        beside = 1.0 - np.abs(c * y - s * x - beside_m) / (2.0 * _STEP_M)
+        near = (beside > 0.0) & (z > height - self._hand.tip_radius) & (self._weights > 0.0)
+        along, weights = c * x[near] + s * y[near], beside[near] * self._weights[near]
+        if len(along):
+            low = min(low, _outermost(along, weights) - 0.5 * self._step_m)
+            high = max(high, 0.5 * self._step_m - _outermost(-along, weights))
         return None if high - low > self._hand.opening else self._ends(turn, beside_m, low, high, height)
 
     def _ends(self, turn: float, beside_m: float, low: float, high: float, height: float) -> tuple[Float64, Float64]:
@@ -421,6 +424,13 @@ def _quantile(values: Float64, share: float) -> float:
     """Return a quantile that is one of the values, in a tenth of the time of np.quantile."""
     k = int(share * (len(values) - 1))
     return float(np.partition(values, k)[k])
+
+
+def _outermost(along: Float64, weights: Float64) -> float:
+    """Return the mean of the lowest quantiles of (N,) places [m] with weights, which moves little where single points do."""
+    order = np.argsort(along, kind="stable")
+    reached = np.cumsum(weights[order])
+    return float(np.interp(_OUTER_SHARES * reached[-1], reached - 0.5 * weights[order], along[order]).mean())
 
 
 def _slopes(ends: Float64) -> Float64:
