@@ -8,7 +8,7 @@
 # A step that fails does not stop the others. Exit status 1 if one has failed. Nothing outside the workspace is changed, but
 # for the packages that rosdep installs.
 set -u
-STEPS=(machine rosdep environment build doctor interfaces launch_files scene bag tests)
+STEPS=(machine rosdep environment build doctor interfaces launch_files typed scene bag tests)
 HERE=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 REPORT=foretouch-report.txt
 LIMIT_S=${LIMIT_S:-1800} # of each step
@@ -48,14 +48,17 @@ interfaces() {
     && ros2 interface show foretouch_msgs/action/SampleGrasps >/dev/null && ros2 pkg executables foretouch
 }
 
-launch_files() { activate && cd "$HERE" && python3 -m pytest -q -rs -p no:cacheprovider test/ros/test_launch_files.py test/ros/test_launch_processes.py; }
+launch_files() { activate && cd "$HERE" && python3 -m pytest -q -rs -p no:cacheprovider test/ros/test_launch_files.py; }
+
+# The commands of the pages and the launch files, typed.
+typed() { activate && cd "$HERE" && ROS2_TOOLS=$(dirname "$(command -v ros2)") python3 -m pytest -q -rs -p no:cacheprovider test/ros/test_typed_commands.py; }
 
 # A launch file of a simulated scene, whose answers `ros2 topic` and `ros2 service` see.
 scene() {
   activate && started "ros2 launch foretouch scene.launch.py scene:=$HERE/examples/data/table.yaml" || return 1
   timeout 90 ros2 topic echo --once --field status /foretouch/touch foretouch_msgs/msg/TouchPredictionArray
   local answered=$?
-  timeout 20 ros2 lifecycle get /foretouch/touch_predictor
+  timeout 20 ros2 lifecycle get /foretouch/perception
   ended && return $answered
 }
 

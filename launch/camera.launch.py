@@ -15,7 +15,7 @@ from launch import LaunchContext, LaunchDescription
 sys.path.append(str(Path(__file__).resolve().parent))
 from foretouch_launch_helpers import arguments_are_checked, foretouch_node, shared_arguments
 
-ARGUMENTS = shared_arguments("namespace", "params_file")
+ARGUMENTS = shared_arguments(graph=False)
 
 
 def generate_launch_description() -> LaunchDescription:

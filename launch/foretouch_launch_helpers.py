@@ -7,6 +7,7 @@ from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction, Shutdown
+from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -15,19 +16,22 @@ from launch_ros.substitutions import FindPackageShare
 from launch import LaunchContext
 
 SHARE = FindPackageShare("foretouch")
+_NODE = ("namespace", "params_file", "use_sim_time", "respawn")  # what every node takes
 _ARGUMENTS = {  # default and description
     "namespace": ("/foretouch", "Namespace of all nodes"),
     "model": ("default", "Name of a model, or path of its card, weights or model folder"),
     "params_file": ("", "ROS parameter file (YAML) for any of the nodes"),
+    "use_sim_time": ("false", "Whether the time is that of /clock, as with a simulator or a bag that is played"),
+    "respawn": ("false", "Whether a node that ends is started again after 2 s; else the launch ends with it"),
     "rviz": ("false", "Whether to start RViz"),
 }
 
 
-def shared_arguments(*names: str) -> list[DeclareLaunchArgument]:
-    """Declare arguments that several launch files have: all of them, or those named."""
+def shared_arguments(*, graph: bool = True) -> list[DeclareLaunchArgument]:
+    """Declare arguments that several launch files have: those of every node, and with `graph` those of the whole graph."""
     return [
         DeclareLaunchArgument(name, default_value=_ARGUMENTS[name][0], description=_ARGUMENTS[name][1])
-        for name in names or _ARGUMENTS
+        for name in (_ARGUMENTS if graph else _NODE)
     ]
 
 
@@ -44,7 +48,7 @@ def _check_arguments(context: LaunchContext) -> None:
     for name in ("params_file", "path", "scene"):
         if given.get(name) and not Path(given[name]).exists():
             raise RuntimeError(f"{name}: {given[name]} does not exist")
-    if given.get("rviz", "false").lower() in {"true", "1"}:
+    if "rviz" in given and is_set(context, "rviz"):
         try:
             get_package_prefix("rviz2")
         except PackageNotFoundError as err:
@@ -74,12 +78,17 @@ def argument_values(context: LaunchContext, *names: str) -> dict[str, str]:
     return {name: LaunchConfiguration(name).perform(context) for name in names}
 
 
+def is_set(context: LaunchContext, name: str) -> bool:
+    """Return whether a launch argument is true."""
+    return bool(IfCondition(LaunchConfiguration(name)).evaluate(context))
+
+
 def foretouch_node(
     context: LaunchContext, name: str, parameters: Mapping[str, str] | None = None, **options: Any
 ) -> Node:
-    """Describe one node of foretouch with the namespace and the parameter file of the launch arguments.
+    """Describe one node of foretouch with what all launch files take: namespace, parameter file, clock and respawn.
 
-    The launch ends with it: the others are of no use alone.
+    Without respawn the launch ends with the node: the others are of no use alone.
 
     Args:
         context: Holds the arguments.
@@ -88,27 +97,30 @@ def foretouch_node(
         options: For `launch_ros.actions.Node`.
     """
     params_file = argument_values(context, "params_file")["params_file"]
+    given = [params_file, *([{"use_sim_time": True}] if is_set(context, "use_sim_time") else []), parameters]
+    again = is_set(context, "respawn") and name != "replay"  # which ends once everything was played
+    ends = {"respawn": True, "respawn_delay": 2.0} if again else {"on_exit": end_with_node}
     return Node(
         package="foretouch",
         executable=f"foretouch_{name}",
         namespace=LaunchConfiguration("namespace"),
-        parameters=[*filter(None, [params_file]), *([] if parameters is None else [parameters])],
+        parameters=[each for each in given if each],
         output="screen",
-        on_exit=end_with_node,
+        **ends,
         **options,
     )
 
 
-def include(name: str, *passed_on: str, condition: Any = None, **fixed: str) -> IncludeLaunchDescription:
-    """Include another launch file of foretouch.
+def include(name: str, *, graph: bool, condition: Any = None, **fixed: str) -> IncludeLaunchDescription:
+    """Include another launch file of foretouch, with the arguments that both have.
 
     Args:
         name: Of the file, without `.launch.py`.
-        passed_on: Arguments that both files have.
+        graph: Whether both have the arguments of the whole graph.
         condition: Under which it is included; None for always.
         fixed: Values of further arguments.
     """
-    arguments = {**fixed, **{argument: LaunchConfiguration(argument) for argument in passed_on}}
+    arguments = {**fixed, **{argument: LaunchConfiguration(argument) for argument in (_ARGUMENTS if graph else _NODE)}}
     return IncludeLaunchDescription(
         PythonLaunchDescriptionSource(PathJoinSubstitution([SHARE, "launch", f"{name}.launch.py"])),
         launch_arguments=arguments.items(),
@@ -118,4 +130,4 @@ def include(name: str, *passed_on: str, condition: Any = None, **fixed: str) -> 
 
 def include_perception(**fixed: str) -> IncludeLaunchDescription:
     """Include perception, with values of its arguments, for launch files that bring their own source of clouds."""
-    return include("perception", *_ARGUMENTS, camera="false", **fixed)
+    return include("perception", graph=True, camera="false", **fixed)

@@ -22,6 +22,7 @@ from foretouch_launch_helpers import (
     arguments_are_checked,
     foretouch_node,
     include,
+    is_set,
     shared_arguments,
 )
 
@@ -42,7 +43,7 @@ ARGUMENTS = [
 
 
 def generate_launch_description() -> LaunchDescription:
-    camera = include("camera", "namespace", "params_file", condition=IfCondition(LaunchConfiguration("camera")))
+    camera = include("camera", graph=False, condition=IfCondition(LaunchConfiguration("camera")))
     rviz = Node(
         package="rviz2",
         executable="rviz2",
@@ -58,7 +59,6 @@ def perception(context: LaunchContext) -> list[Node]:
     remapped = [
         (name, given[topic]) for name, topic in (("depth/image", "depth"), ("points", "points")) if given[topic]
     ]
-    together = IfCondition(LaunchConfiguration("one_process")).evaluate(context)
     return [
         foretouch_node(
             context,
@@ -69,5 +69,5 @@ def perception(context: LaunchContext) -> list[Node]:
                 *(["-p", f"input:={kind}"] if name in CAMERA_USERS else []),
             ],
         )
-        for name in (["perception"] if together else ["segmentation", "grasp", "touch_predictor"])
+        for name in (["perception"] if is_set(context, "one_process") else ["segmentation", "grasp", "touch_predictor"])
     ]

@@ -32,7 +32,7 @@ DESCRIPTIONS = {
 }
 ARGUMENTS = [
     *(DeclareLaunchArgument(name, default_value="", description=text) for name, text in DESCRIPTIONS.items()),
-    *shared_arguments("namespace", "params_file"),
+    *shared_arguments(graph=False),
 ]
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.models.estimator import Estimate
+from foretouch.models.predictor import Estimate
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import Ranges
 from foretouch.tactile.description import Sensor, packaged_sensor, sensor_of, with_sensor

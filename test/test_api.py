@@ -237,7 +237,7 @@ def test_a_fitted_model_predicts_and_is_loaded_again(tmp_path):
     with pytest.raises(ft.ForetouchError, match="exists already"):
         model.save(tmp_path / "mine")
     with pytest.raises(ModelError, match="was not loaded from files"):
-        ft.TouchModel(model.estimator, model.card).save(tmp_path / "other")
+        ft.TouchModel(model.predictor, model.card).save(tmp_path / "other")
     assert model.path is not None
     folder = model.path.parent
     assert folder.exists()
@@ -276,3 +276,59 @@ def test_the_drawing_has_what_is_given(scene, tmp_path):
         ft.draw(scene, grasps, number=7)
     with pytest.raises(ConfigError, match="grasps: are on object 1, not on 2"):
         ft.draw(scene.objects[1], grasps)
+
+
+def test_rotations_that_are_not_given_are_computed_on_an_object_as_the_planner_does(scene):
+    target, model = scene.objects[0], ft.load_model()
+    planned = ft.plan(target, count=4)
+    bare = ft.Grasps(planned.g1, planned.g2)
+    touch = model.predict(target, bare)
+    np.testing.assert_allclose(touch.grasps.rotation, planned.rotation, atol=1e-12)
+    np.testing.assert_allclose(touch.value, model.predict(target, planned).value, atol=1e-6)
+    assert touch.ok.all()
+    some = ft.Grasps.of([planned[0], ft.Grasp(planned.g1[1], planned.g2[1])])
+    np.testing.assert_array_equal(model.predict(target, some).grasps.rotation[0], planned.rotation[0])
+    between = Pipeline().grasp_between(target, planned.g1[2], planned.g2[2])
+    np.testing.assert_allclose(between.rotation, touch.grasps.rotation[2], atol=1e-12)
+    on_a_table = model.predict(target.cloud, bare, table=target.plane)
+    np.testing.assert_array_equal(on_a_table.value, touch.value)
+    without = model.predict(target.cloud, bare)
+    assert without.status.tolist() == ["bad_grasp"] * 4
+    assert without.reason[0] == (
+        "rotation: is not given, and computing it needs the table; pass an object of a scene, or table"
+    )
+    with pytest.raises(GraspError, match="rotation: of grasp 0 is not given; a prediction on an object computes it"):
+        _ = bare.pose
+    history = ft.History(model)
+    history.touched(target, bare[0], touch[0].value, stamp_ns=1_000_000_000)
+    assert history.touches == 1
+
+
+def test_what_is_no_rotation_no_plane_and_no_hand_is_refused_at_once(scene):
+    planned = ft.plan(scene.objects[0], count=4)
+    g1, g2, turned = planned.g1, planned.g2, planned.rotation
+    cases = [
+        (GraspError, lambda: ft.Grasps(g1[:2], g2, turned), r"g2: shape \(4, 3\) is not \(2, 3\)"),
+        (
+            GraspError,
+            lambda: ft.Grasps(g1, g2, np.ones((4, 3, 3))),
+            r"rotation: \[\[1.0, 1.0, 1.0\].*is not a rotation",
+        ),
+        (GraspError, lambda: ft.Grasp(g1[0], g2[0], np.ones((3, 3))), "rotation: .*is not a rotation matrix"),
+        (GraspError, lambda: ft.Grasps(g1, g2, np.diag([1.0, 1.0, -1.0])[None].repeat(4, 0)), "is not a rotation"),
+        (CloudError, lambda: ft.Plane([0, 0, 0], -1.2), r"normal: length 0 of \[0.0, 0.0, 0.0\].*is not 1"),
+        (CloudError, lambda: ft.Plane([0, 0, 2], -1.2), r"Plane\.from_coefficients\(\(a, b, c, d\)\) takes any length"),
+        (CloudError, lambda: ft.Plane([0, 0, 1], np.nan), "the offset is not finite"),
+        (CloudError, lambda: ft.Plane("up", 1.0), "normal: up is not of numbers"),
+        (ConfigError, lambda: ft.plan(scene.objects[0], hand="franka"), "franka"),
+    ]
+
+    def check(error, call, message):
+        with pytest.raises(error, match=message):
+            call()
+
+    every_case(cases, check)
+    by_setting = ft.PipelineConfig.from_mapping({"hand": {"name": "franka_hand"}})
+    shown = ft.plan(scene.objects[1], hand="franka_hand")
+    np.testing.assert_array_equal(shown.pose_of_hand, ft.plan(scene.objects[1], config=by_setting).pose_of_hand)
+    assert {way.hand for way in shown.way} == {"franka_hand"}

@@ -17,12 +17,12 @@ from every_case import every_case
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, plan_grasps
-from foretouch.grasp.pose import check_rotation
 from foretouch.grasp.reach import check_reach
 from foretouch.models import available_models, load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import ASSUMED_TABLE, Cloud, Predictions
+from foretouch.types.rotations import check_rotation
 
 OBJECTS = {case.name: case for case in object_cases()}
 SCENES = {case.name: case for case in scene_cases()}

@@ -163,7 +163,7 @@ NOT_IN_ROSDEP = {
     "trimesh",
     "lzf",
 }
-OPTIONAL = ("lab", "sim", "hdf5", "camera", "sweep", "open3d", "view", "serve")
+OPTIONAL = ("lab", "sim", "hdf5", "tables", "camera", "sweep", "open3d", "view", "serve")
 ONLY_IN_FULL_ROS = {"sr_robot_msgs"}
 COMES_WITH = {"mpl_toolkits": "matplotlib"}
 

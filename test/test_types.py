@@ -7,7 +7,7 @@ from every_case import every_case
 
 from foretouch.errors import CloudError, GraspError, TactileError
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, Grasp, Plane
+from foretouch.types import Cloud, Grasp, Grasps, Plane
 
 
 def test_what_breaks_a_rule_is_refused() -> None:
@@ -31,6 +31,16 @@ def test_what_breaks_a_rule_is_refused() -> None:
         ("both contacts", GraspError, lambda: Grasp(np.ones(3), np.ones(3), eye)),
         (r"g1: shape \(2,\)", GraspError, lambda: Grasp(zeros(2), np.ones(3), eye)),
         (r"touch: shape \(49,\)", TactileError, lambda: biotac_touch(zeros(49))),
+        ("stamp_ns: 'x' is not a whole number", CloudError, lambda: Cloud(zeros((4, 3)), stamp_ns="x")),
+        ("stamp_ns: 1.* is not a whole number", CloudError, lambda: Cloud(zeros((4, 3)), stamp_ns=10**400)),
+        ("frame_id: None is not a text", CloudError, lambda: Cloud(zeros((4, 3)), frame_id=None)),
+        ("xyz: .* a number is too large", CloudError, lambda: Cloud([[10**400, 0, 1]])),
+        ("g1: .* a number is too large", GraspError, lambda: Grasp([10**400, 0, 1], np.ones(3), eye)),
+        ("g1: .* complex numbers", GraspError, lambda: Grasp(zeros(3, complex), np.ones(3), eye)),
+        ("rotation: .* complex numbers", GraspError, lambda: Grasps(zeros((1, 3)), np.ones((1, 3)), eye[None] * 1j)),
+        ("g1: .* texts", GraspError, lambda: Grasps(np.array([["a"] * 3]), np.ones((1, 3)), eye[None])),
+        ("plane: .* complex numbers", CloudError, lambda: Plane.from_coefficients([0, 0, 1j, 1])),
+        ("touch: .* complex numbers", TactileError, lambda: biotac_touch(zeros(50) * 1j)),
     ]
     every_case(cases, check)
 
@@ -44,6 +54,29 @@ def test_any_numbers_become_float32() -> None:
     assert Cloud(np.ones((4, 3), np.int16)).xyz.dtype == np.float32
     single = np.zeros((4, 3), np.float32)
     assert Cloud(single).xyz is single  # no copy
+
+
+def test_what_is_masked_is_no_number() -> None:
+    gone = np.array([False, True, False, False])
+    points = np.arange(12.0).reshape(4, 3)
+    rows = np.repeat(gone[:, None], 3, axis=1)
+    for kind in (np.float64, np.float32, np.int32):
+        xyz = Cloud(np.ma.masked_array(points.astype(kind), rows)).xyz
+        assert type(xyz) is np.ndarray
+        np.testing.assert_array_equal(xyz, np.where(rows, np.nan, points).astype(np.float32))
+    assert type(Cloud(np.ma.masked_array(points.astype(np.float32))).xyz) is np.ndarray
+    colours = Cloud(points, np.ma.masked_array(np.full((4, 3), 9, np.uint8), rows)).rgb
+    np.testing.assert_array_equal(colours, np.where(rows, 0, 9))
+    masked = np.ma.masked_array([0.0, 0.0, 1.0], [False, True, False])
+    for name in ("g1", "g2"):
+        with pytest.raises(GraspError, match=rf"{name}: \[0\.0, nan, 1\.0\] is not finite"):
+            Grasp(**{"g1": [1.0, 1.0, 1.0], "g2": [2.0, 1.0, 1.0], "rotation": np.eye(3)} | {name: masked})
+    with pytest.raises(GraspError, match=r"rotation: .* is not finite"):
+        Grasp([0, 0, 1], [1, 0, 1], np.ma.masked_equal(np.eye(3), 1.0))
+    grasps = Grasps(
+        np.ma.masked_array([[0.0, 0.0, 1.0]] * 2, [[False] * 3, [True] * 3]), np.ones((2, 3)), np.stack([np.eye(3)] * 2)
+    )
+    assert np.isnan(grasps.g1).any(axis=1).tolist() == [False, True]
 
 
 def test_take_by_mask_equals_take_by_index(rng: np.random.Generator) -> None:

@@ -109,7 +109,7 @@ def of_set(seed: int) -> list[dict[str, Any]]:
     seen = list(views(known, test))
     strangers = list(views(strange, list(Simulation(strange).samples(STRANGE * STRANGE_GRASPS))))
     from_above = {view.grasp: view for view in seen if (view.tilt_deg, view.distance_m) == (0, 0.7)}
-    shipped, rows = load_model("contact-v3").estimator.novelty, []
+    shipped, rows = load_model("contact-v3").predictor.novelty, []
     for tilt in TILTS_DEG:
         own = [view for view in seen if view.tilt_deg == tilt]
         others = [view for view in strangers if view.tilt_deg == tilt]

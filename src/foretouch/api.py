@@ -20,6 +20,8 @@ from foretouch.types.scene import Object, Scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from foretouch_lab.learning.training.compare import Evaluation
+
 
 def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: PipelineConfig | None = None) -> Scene:
     """Find the table and the objects on it.
@@ -40,12 +42,15 @@ def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: Pipeline
     return Pipeline(config).segment(cloud, mask=mask)
 
 
-def plan(target: Object, *, count: int | None = None, config: PipelineConfig | None = None) -> Grasps:
+def plan(
+    target: Object, *, count: int | None = None, hand: str | None = None, config: PipelineConfig | None = None
+) -> Grasps:
     """Plan two-finger grasps on an object.
 
     Args:
         target: An object of a `Scene`, whose other objects are avoided.
         count: Most grasps; by default one.
+        hand: A described hand that must find a way to the object, such as `franka_hand`, or the path of a YAML file.
         config: Settings of all steps; the defaults if None.
 
     Returns:
@@ -54,10 +59,12 @@ def plan(target: Object, *, count: int | None = None, config: PipelineConfig | N
 
     Raises:
         CloudError: If a scene, a cloud or background is passed for the object.
+        ConfigError: If there is no such hand, or the count is out of its bounds.
     """
     pipeline = Pipeline(config)
-    if count is not None:
-        pipeline.config = pipeline.config.updated({"grasp.count": count}, "count")
+    for name, key, value in (("count", "grasp.count", count), ("hand", "hand.name", hand)):
+        if value is not None:
+            pipeline.config = pipeline.config.updated({key: value}, name)
     return pipeline.plan(target).grasps
 
 
@@ -119,6 +126,78 @@ def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "conta
         from foretouch_lab.learning.training.fit import fit as fit_model
 
         return fit_model(samples, recipe, settings)
+
+
+def calibrate(
+    predictor: Any,
+    samples: SampleSet | Sequence[Sample] | str | Path,
+    split: str = "object",
+    *,
+    name: str = "",
+    refit: bool | None = None,
+    seed: int = 0,
+    workers: int = 1,
+) -> TouchModel:
+    """Make a touch model of a predictor of your own, with a rest level, intervals and adaptation; requires `foretouch[lab]`.
+
+    Args:
+        predictor: An object with `estimate(cloud, grasps, table=None)`, which returns (K, D) numbers in the unit of the sensor or
+            an `Estimate` (`foretouch.models.predictor`); or a class or function that makes one, or the name of either. If it has
+            `fit(samples)`, it is fitted to all samples, and again without those of each fold. Otherwise it is used as it is.
+        samples: Labelled samples, or the path of a dataset. A predictor without `fit` should not have been trained on them.
+        split: What is left out for the intervals: `object`, `time` or `random`, as of `SampleSet.split`. Where the predictor says
+            which grasps are familiar, those get the intervals of `time`.
+        name: Of the model; by default of the predictor's class.
+        refit: Whether it is fitted; by default if it can be.
+        seed: Of random folds.
+        workers: Number of processes.
+
+    Returns:
+        The model, as `load_model` gives it. `save(folder)` writes it; `load_model(folder, predictor)` reads it again.
+
+    Raises:
+        ModelError: If it is no predictor, fails, or returns what cannot be used.
+        DatasetError: If there are too few samples, or one cannot be used.
+        MissingDependencyError: If the laboratory is not installed.
+    """
+    with needs_laboratory("foretouch.calibrate"):
+        from foretouch_lab.learning.training.own import calibrate as calibrate_own
+
+        return calibrate_own(predictor, samples, split, name=name, refit=refit, seed=seed, workers=workers)
+
+
+def evaluate(
+    models: Any,
+    samples: SampleSet | Sequence[Sample] | str | Path,
+    splits: Sequence[str] = ("random", "time", "object"),
+    *,
+    refit: bool | None = None,
+    seed: int = 0,
+    workers: int = 1,
+) -> "Evaluation":
+    """Score a model and every baseline on the same held-out samples; requires `foretouch[lab]`.
+
+    Args:
+        models: A model, a predictor as of `calibrate`, or the name of a recipe of `foretouch train`; or several of them by name.
+        samples: Labelled samples, or the path of a dataset.
+        splits: What is left out: `random`, `time` and `object`, as of `SampleSet.split`.
+        refit: Whether models and predictors are fitted again without the samples of each fold; by default predictors that can be.
+            Models that are given as they are lose the samples that they were trained on.
+        seed: Of random folds and of the baselines.
+        workers: Number of processes.
+
+    Returns:
+        The scores, which print as a table. `records()` has its rows, `scores` all numbers, and `notes` how each model was held out.
+
+    Raises:
+        DatasetError: If there are too few samples, or none is held out.
+        ModelError: If a predictor fails, or returns what cannot be used.
+        MissingDependencyError: If the laboratory is not installed.
+    """
+    with needs_laboratory("foretouch.evaluate"):
+        from foretouch_lab.learning.training.scoring import evaluate as evaluate_models
+
+        return evaluate_models(models, samples, splits, refit=refit, seed=seed, workers=workers)
 
 
 def draw(

@@ -27,6 +27,9 @@ from foretouch.files import read_bytes
 
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
 _YAML_BYTES: Final = 100_000  # the largest file of the package has 5000
+_YAML_SUFFIXES: Final = (".yaml", ".yml")
+_NAME: Final = 200  # characters of a name that is looked for among known ones
+_TURN: Final = 6.3  # [rad]
 _MOST_ALIASES: Final = 100
 _MOST_GROUPS: Final = 1000  # of a list, such as fingers; each takes a tenth of a millisecond and more
 
@@ -44,6 +47,7 @@ _UNITS: Final = {
     "kelvin": "K",
     **{unit: unit for unit in ("s", "ms", "ns", "m", "mm", "deg", "counts", "days", "kg")},
 }  # by the last word of a name
+_OPENCV_HEAD: Final = re.compile(r"\A%YAML:1\.\d[ \t]*\r?\n")  # which OpenCV writes, and which is no directive of YAML
 _DECIMAL: Final = r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"
 
 
@@ -73,6 +77,9 @@ class _Dumper(yaml.SafeDumper):
 
 
 _Loader.add_constructor("!empty", lambda *_: EMPTY)
+_Loader.add_constructor(
+    "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
+)
 _Loader.add_constructor(_INT, lambda loader, node: int(loader.construct_scalar(node)))
 for _kind in (_Loader, _Dumper):
     _kind.add_implicit_resolver(_INT, re.compile(r"[-+]?\d+$"), list("-+0123456789"))
@@ -196,10 +203,19 @@ def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
     return infos
 
 
-def load_yaml(path: str | Path, limit: int = _YAML_BYTES) -> dict[str, Any]:
-    """Load one YAML mapping safely; a `ConfigError` if the file cannot be read, is too large or is not a mapping."""
+def load_yaml(path: str | Path, limit: int = _YAML_BYTES, *, first: bool = False) -> dict[str, Any]:
+    """Load a YAML mapping safely.
+
+    Args:
+        path: The file.
+        limit: Its largest size [bytes].
+        first: Whether to take the first of several documents, as `ros2 topic echo` prints them; others are refused.
+
+    Raises:
+        ConfigError: If the file cannot be read, is too large or is not a mapping.
+    """
     try:
-        document = _parse_yaml(read_bytes(path, limit).decode("utf-8"))
+        document = _parse_yaml(read_bytes(path, limit).decode("utf-8"), first=first)
     except FileError as err:
         raise ConfigError(str(err)) from err
     except ValueError as err:
@@ -209,8 +225,9 @@ def load_yaml(path: str | Path, limit: int = _YAML_BYTES) -> dict[str, Any]:
     return document or {}
 
 
-def _parse_yaml(text: str) -> Any:
+def _parse_yaml(text: str, *, first: bool = False) -> Any:
     """Return the document in a YAML text, loaded safely; a ValueError if it is not YAML, nests too deep, or aliases repeat too much."""
+    text = _OPENCV_HEAD.sub("", text)
     level = repeated = aliases = 0  # `repeated` is the level of the outermost open group with an anchor
     try:
         for event in yaml.parse(text, Loader=_Loader):
@@ -225,9 +242,78 @@ def _parse_yaml(text: str) -> Any:
                 raise yaml.YAMLError(f"more than {_YAML_DEPTH} nested levels")
             if isinstance(event, yaml.AliasEvent) and (repeated or aliases > _MOST_ALIASES):
                 raise yaml.YAMLError(f"alias {shown(event.anchor)}: one within another, or more than {_MOST_ALIASES}")
+        if first:
+            return next(yaml.load_all(text, Loader=_Loader), None)
         return yaml.load(text, Loader=_Loader)  # noqa: S506 - a safe loader, in C where it is installed
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as err:
         raise ValueError(str(err) or type(err).__name__) from err  # constructors of numbers and dates raise them
+
+
+def description_file(name: str | Path, known: Mapping[str, Path]) -> Path:
+    """Return the file of a description; whether it exists is checked where it is read.
+
+    Args:
+        name: Of a YAML file, or of a description of the package; as a user or a message gives it.
+        known: The files of the package, by name.
+
+    Raises:
+        ConfigError: If it is neither.
+    """
+    path = Path(name)
+    if path.suffix.lower() in _YAML_SUFFIXES:
+        return path
+    if str(name) not in known:
+        kind = f"a file ({_YAML_SUFFIXES[0]})" if path.suffix else "a file"
+        hint = nearest(str(name)[:_NAME], known)
+        raise ConfigError(f"{shown(path)}: is neither {kind} nor one of {', '.join(known)}{hint}")
+    return known[str(name)]
+
+
+def load_description(path: str | Path, settings: type[_S], what: str, more: Sequence[str] = ()) -> _S:
+    """Load a description from a YAML file; of a file that is none, no content is reported, since anyone may name it.
+
+    Args:
+        path: The file.
+        settings: Class of the description.
+        what: What it describes, for messages.
+        more: Keys that it has besides the settings.
+
+    Raises:
+        ConfigError: If the file cannot be read, is no such description, or breaks a rule; names file, field and rule.
+    """
+    known = [*(f.name for f in dataclasses.fields(settings)), *more]
+    try:
+        text = read_bytes(path, _YAML_BYTES).decode("utf-8", "replace")
+    except FileError as err:
+        raise ConfigError(str(err)) from err
+    named = re.search(rf"^[\s{{'\"]*({'|'.join(known)})['\"]?\s*:", text, re.MULTILINE) is not None
+    try:
+        stated = load_yaml(path)
+    except ConfigError:
+        if named:
+            raise
+        raise ConfigError(f"{shown(path)}: not YAML that describes {what}") from None
+    strange = sum(str(key).partition(".")[0] not in known for key in stated)
+    if strange == len(stated) or 2 * strange > len(stated):
+        raise ConfigError(f"{shown(path)}: is no description of {what}, whose settings are {', '.join(known)}")
+    return settings.from_mapping(stated, str(path))
+
+
+def require_units(settings: Settings, *, angles: Sequence[str] = (), lengths: Sequence[str] = ()) -> None:
+    """Refuse angles of more than a full turn [rad], and lengths of more than a metre [m], as degrees and millimetres are.
+
+    Raises:
+        ConfigError: Names the setting and asks for its unit.
+    """
+    for names, limit, rule in (
+        (angles, _TURN, "exceeds a full turn: is it in degrees? Angles are in rad"),
+        (lengths, 1.0, "is longer than a hand: is it in mm? Lengths are in m"),
+    ):
+        for name in names:
+            value = getattr(settings, name)
+            largest = max(value if isinstance(value, tuple) else (value,), key=abs, default=0.0)
+            if abs(largest) > limit:
+                raise ConfigError(f"{name}: {largest:g} {rule}")
 
 
 def dump_yaml(document: Mapping[str, Any]) -> str:

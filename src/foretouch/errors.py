@@ -15,6 +15,7 @@ from typing import Any, Final
 _SHOWN: Final = 200  # characters of a name or value in a message
 _PATH: Final = 400  # characters of a path in a message
 _RULE: Final = 800  # characters of a rule, which may list what is known
+_REPR: Final = 70  # characters of a message where it is printed as a value
 _LINE: Final = 2000  # characters of a message
 
 
@@ -61,7 +62,7 @@ def none_of(name: Any, known: Iterable[Any]) -> str:
     return f"{quoted(name)} is not one of {', '.join(map(str, known))}{nearest(name, known)}"
 
 
-def described(err: Exception) -> str:
+def described(err: BaseException) -> str:
     """Return the type and text of an exception in one line."""
     return f"{type(err).__name__}: {' '.join(str(err).split())}"
 
@@ -76,6 +77,9 @@ class ForetouchError(Exception):
     def __init__(self, message: str = "") -> None:
         text = str(message)
         super().__init__(text if len(text) <= _LINE and text.isprintable() else shown(text, _LINE))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({shown(str(self), _REPR)!r})"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Let an error with any arguments be copied and leave a worker process, with its attributes."""

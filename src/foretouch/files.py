@@ -120,9 +120,13 @@ def _descriptor(path: str | Path, flags: int) -> int:
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)
-        kind = next((name for test, name in _KINDS if test(mode)), "device")
-        raise FileError(path, f"is a {kind}, not a regular file")
+        raise FileError(path, f"is a {_kind(mode)}, not a regular file")
     return descriptor
+
+
+def _kind(mode: int) -> str:
+    """Return what a file is that is no regular one."""
+    return next((name for test, name in _KINDS if test(mode)), "device")
 
 
 class FileBytes:
@@ -207,6 +211,13 @@ class FileBytes:
             yield from (at + match.start() for match in pattern.finditer(block) if match.start() < _BLOCK)
 
 
+def require_replaceable(path: str | Path) -> None:
+    """Refuse a file to write where something else than a regular file is, such as a device; a link counts as what it leads to."""
+    with _named(path), suppress(FileNotFoundError):
+        if not stat.S_ISREG(mode := Path(path).stat().st_mode):
+            raise FileError(path, f"cannot be written: is a {_kind(mode)}, not a regular file")
+
+
 def replace_files(contents: Mapping[Path, bytes]) -> None:
     """Write files that belong together, such as weights and the card with their hash.
 
@@ -224,6 +235,7 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
     path = Path()
     try:
         for path, content in contents.items():
+            require_replaceable(path)
             path.parent.mkdir(parents=True, exist_ok=True)
             part = part_of(path)
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -320,6 +332,7 @@ def require_writable(path: str | Path, *suffixes: str) -> None:
     """
     if Path(path).suffix.lower() not in suffixes:
         raise FileError(path, f"the extension is not one of {', '.join(suffixes)}")
+    require_replaceable(path)
     existed = Path(path).exists()
     with system_errors(path, "cannot be written"):
         Path(path).parent.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ Each step is one method over the public function of its package, so that the sam
 bit-equal output wherever it is run.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,18 +19,19 @@ from foretouch.cloud.segmentation.masks import segment_mask
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_free, select_targets
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.cloud.timing import timed
-from foretouch.config import Settings, setting
-from foretouch.errors import CloudError, ConfigError
-from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, hand_rotation, object_axis, plan_grasps
+from foretouch.config import Settings, flattened, setting
+from foretouch.errors import CloudError, ConfigError, shown
+from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, plan_grasps, with_rotations
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import History, TouchModel, load_model
 from foretouch.types import Cloud, Float64, Grasp, Grasps, Plane, Predictions, Touch
 from foretouch.types.cloud import require_cloud
 from foretouch.types.scene import Object, Obstacles, Scene
+from foretouch.types.summary import Summarised
 
 
-@dataclass(frozen=True, kw_only=True)
-class PipelineConfig(Settings):
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PipelineConfig(Summarised, Settings):
     """Settings of the pipeline, one group for each step."""
 
     segmentation: SegmentationConfig = SegmentationConfig()
@@ -41,9 +42,14 @@ class PipelineConfig(Settings):
     reach: ReachConfig = ReachConfig()
     model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
 
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        defaults = flattened(PipelineConfig().to_mapping())
+        changed = {name: value for name, value in flattened(self.to_mapping()).items() if value != defaults.get(name)}
+        return "other than the defaults:" if changed else "defaults", {k: shown(v) for k, v in changed.items()}
 
-@dataclass(frozen=True, eq=False)
-class TargetResult:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetResult(Summarised):
     """One object with its planned grasps and the predictions for them, in the same order."""
 
     target: Object
@@ -51,8 +57,8 @@ class TargetResult:
     predictions: Predictions
 
 
-@dataclass(frozen=True, eq=False)
-class PipelineResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class PipelineResult(Summarised):
     """The result for one cloud."""
 
     status: str  # "ok" if there is a prediction; else the status of the step at which the pipeline ended, or of the first grasp
@@ -62,7 +68,7 @@ class PipelineResult:
     ms: dict[str, float]  # wall time of the steps `segment`, `grasp`, `touch` that ran, and `total` [ms]
 
 
-class Pipeline:
+class Pipeline(Summarised):
     """Runs the steps from a cloud to predicted touch.
 
     Args:
@@ -78,6 +84,10 @@ class Pipeline:
             raise ConfigError(f"config: {type(config).__name__} {rule}")
         self.config = config if config is not None else PipelineConfig()
         self._model: TouchModel | None = None
+
+    def _summary(self) -> tuple[str, Mapping[str, str]]:
+        title, facts = self.config._summary()  # noqa: SLF001  of this module
+        return f"settings: {title}", facts
 
     @property
     def model(self) -> TouchModel:
@@ -195,12 +205,11 @@ class Pipeline:
             GraspError: If a contact is not finite, both are equal, or they are out of the hand's reach.
             CloudError: If the object or its table is out of the limits.
         """
-        posed = Grasp(g1, g2, np.eye(3), object_id=target.id)
+        grasp = Grasp(g1, g2, object_id=target.id)
         check_object(target.cloud.xyz, self.config.limits)
         check_table(target.plane, self.config.limits, target.cloud.xyz)
-        check_reach(posed, target.cloud.xyz, self.config.reach.max_width_m, self.config.reach.max_distance_m)
-        axis, _ = object_axis(target.cloud, target.plane, self.config.grasp)
-        return Grasp(g1, g2, hand_rotation(posed.g1, posed.g2, axis), object_id=target.id)
+        check_reach(grasp, target.cloud.xyz, self.config.reach.max_width_m, self.config.reach.max_distance_m)
+        return with_rotations(Grasps.of([grasp]), target.cloud, target.plane, self.config.grasp)[0]
 
     def predict(
         self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: History | None = None
@@ -219,6 +228,7 @@ class Pipeline:
         model, grasps = self.model, Grasps.of(grasps)
         if not grasps:
             return Predictions.refused(grasps, model.sensor.channels, "refused", "")
+        grasps = with_rotations(grasps, target.cloud, target.plane, self.config.grasp)
         return model.predict(
             target, grasps, tare=tare, history=history, limits=self.config.limits, reach=self.config.reach
         )

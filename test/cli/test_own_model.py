@@ -12,7 +12,7 @@ from recording_builders import IDENTITY, QUICK
 from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.grasp.pose import hand_rotation
-from foretouch.models.estimator import UNFAMILIAR_CURE
+from foretouch.models.predictor import UNFAMILIAR_CURE
 from foretouch.models.registry import load_model
 
 QUICKLY = "contact.trees=3"

@@ -29,6 +29,7 @@ from foretouch.models.touch_model import place_and_size
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
+from foretouch.ros.messages.placement import Placement
 from foretouch.ros.messages.requests import RequestedGrasps, Targets, read_plane, read_targets
 from foretouch.ros.nodes.perception import TouchPredictorConfig
 from foretouch.ros.nodes.recorder import _decode_label
@@ -144,7 +145,7 @@ def clouds() -> Reader:
         finite("table", plane_to_msg(scene.table).coef)
         objects_to_msg(scene.targets, FRAME, NOW_NS)
         for object_ in scene.objects:
-            object_to_msg(object_, target=True)
+            object_to_msg(object_, Placement(header_to_msg(FRAME, NOW_NS)), target=True)
             finite("object", object_.centroid, *object_.bounds)
 
     return [scene_message(), *object_messages()], read

@@ -4,7 +4,9 @@
 import os
 import runpy
 import sys
+import warnings
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +19,8 @@ from numpy.testing import assert_array_equal
 
 import foretouch as ft
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.grasp_arrays import stamp_faults
 from foretouch.dataset.importing import import_samples
+from foretouch.dataset.stamps import stamp_faults
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import HOLD, REST, Sample
 
@@ -109,7 +111,17 @@ STAMPS: dict[str, tuple[Any, str]] = {  # a hundred readings at 100 Hz as others
     "tenths": (np.floor(START_S * 10 + 0.1 * np.arange(100)) / 10, "10 readings have the same stamp, and 100 only 10"),
     "going back": (START_S + 0.01 * np.r_[:50, 48:-2:-1], "go back by 0.01.* s at reading 50"),
     "milliseconds": (START_S * 1e3 + 10.0 * np.arange(100), "is no time in s"),
-    "text": (["a"] * 100, "are not finite numbers"),
+    "text": (["a"] * 100, r"are texts, such as \['a'\]: give numbers, or dates as pandas"),
+    "infinite": (np.where(np.arange(100) == 3, np.inf, START_S), "are not finite numbers"),
+    "one missing": (
+        np.where(np.arange(100) == 3, np.nan, START_S),
+        "reading 3 has no time: it is missing; leave the reading out",
+    ),
+    "None": ([None] * 100, "reading 0 has no time"),
+    "truth values": ([True] * 100, "are truth values"),
+    "complex": (1j * np.arange(100), "are complex numbers"),
+    "of different lengths": ([[0.0], [1.0, 2.0]], "inhomogeneous"),
+    "beyond any time": ([10**400] * 100, "a number is too large"),
     "too few": (START_S + 0.01 * np.arange(99), r"shape \(99,\) is not \(100,\)"),
 }
 
@@ -130,6 +142,119 @@ def test_float32_that_holds_the_time_since_the_start_and_dates_of_pandas_are_sta
     )
     assert np.abs(first.series.stamps_ns - second.series.stamps_ns).max() < 100
     assert second.series.stamps_ns[1] == round(START_S) * 10**9 + 10_000_000
+
+
+def test_times_of_any_zone_and_library_are_stamps(tmp_path: Path, pads: Path) -> None:
+    pd, pa = pytest.importorskip("pandas"), pytest.importorskip("pyarrow")
+    start = datetime(2026, 11, 25, 10, tzinfo=UTC)
+    aware = [start + timedelta(milliseconds=10 * k) for k in range(100)]
+    east = [time.astimezone(timezone(timedelta(hours=9))) for time in aware]
+    plain = np.array([time.replace(tzinfo=None) for time in aware], "datetime64[ns]")
+    column = pd.Series(pd.to_datetime(aware, utc=True))
+    cases: dict[str, Any] = {
+        "of a zone": aware, "of another": east, "of UTC without a zone": [time.replace(tzinfo=None) for time in aware],
+        "pandas": column, "pandas of a zone": column.dt.tz_convert("Asia/Tokyo"), "an index": pd.DatetimeIndex(column),
+        "a list of Timestamps": list(column), "strings of dates": pd.to_datetime([time.isoformat() for time in aware], format="ISO8601"),
+        "microseconds": plain.astype("datetime64[us]"), "arrow": pa.array(aware), "objects": np.array(aware, object),
+        "masked": np.ma.masked_array(plain, np.zeros(100, bool)),
+    }  # fmt: skip
+    expected = round(START_S) * 10**9 + 10_000_000 * np.arange(100)
+    for number, (name, times) in enumerate(cases.items()):
+        stamps = written(tmp_path / f"{number}", pads, grasp(stamps_ns=times))[0].series.stamps_ns
+        assert_array_equal(stamps, expected, err_msg=name)
+    for number, elapsed in enumerate((plain - plain[0], column - column[0], [time - start for time in aware])):
+        (sample,) = written(tmp_path / f"since {number}", pads, grasp(stamps_ns=elapsed, start_s=START_S))
+        assert_array_equal(sample.series.stamps_ns, expected)
+    nanoseconds = pd.Series(pd.to_datetime(expected + np.arange(100), utc=True))  # which `datetime` does not hold
+    (sample,) = written(tmp_path / "ns", pads, grasp(stamps_ns=nanoseconds))
+    assert_array_equal(sample.series.stamps_ns, expected + np.arange(100))
+
+
+def test_times_that_are_missing_or_no_times_are_named(tmp_path: Path, pads: Path) -> None:
+    pd = pytest.importorskip("pandas")
+    plain = np.datetime64("2026-11-25T10", "ns") + np.timedelta64(10, "ms") * np.arange(100)
+    gap = np.where(np.arange(100) == 3, np.datetime64("NaT"), plain)
+    column = pd.Series(gap).dt.tz_localize("UTC")
+    cases: dict[str, tuple[Any, str]] = {
+        "NaT": (gap, "reading 3 has no time: it is missing"),
+        "NaT of pandas": (column, "reading 3 has no time"),
+        "NA of pandas": (pd.array([None if k == 3 else k for k in range(100)], "Int64"), "reading 3 has no time"),
+        "masked": (np.ma.masked_array(np.arange(100) * 10**7, np.arange(100) == 3), "reading 3 has no time"),
+        "texts": ([f"2026-11-25T10:00:00.{k:02}" for k in range(100)], "are texts, such as .'2026-11-25T10:00:00.00'.: give numbers"),
+        "a column of texts": (pd.Series(["10:00"] * 100), "are (of type str|texts), such as .*10:00"),
+        "texts and dates": ([*plain[:50].tolist(), *["x"] * 50], "are of type str|stamps_ns: "),
+        "a time beyond int64": (np.full(100, np.datetime64("9999-01-01", "D")), "is no time in ns"),
+        "of other things": ([object()] * 100, "is not of numbers"),
+    }  # fmt: skip
+    for times, rule in cases.values():
+        with pytest.raises(DatasetError, match=rf"^sample 0 \(mug/7\): stamps_ns: .*{rule}|{rule}"):
+            ft.write(tmp_path / "ds", [grasp(stamps_ns=times)], pads)
+
+
+def test_names_are_texts_or_refused(tmp_path: Path, pads: Path) -> None:
+    pd = pytest.importorskip("pandas")
+    names: list[tuple[Any, str]] = [
+        (b"mug", "mug"), (np.bytes_(b"mug"), "mug"), (np.str_("mug"), "mug"), (np.array("mug"), "mug"), ("Ø 3", "Ø 3"),
+        (3, "3"), (np.int64(3), "3"), (3.0, "3"), (np.float32(3), "3"), (pd.Series(["mug"])[0], "mug"),
+    ]  # fmt: skip
+    for number, (label, name) in enumerate(names):
+        (sample,) = written(tmp_path / f"{number}", pads, grasp(object=label, id=label, note=None, outcome=np.nan))
+        assert (sample.object, sample.id, sample.note, sample.outcome) == (name, f"{name}/{name}", "", "unknown")
+    missing = [float("nan"), None, pd.NA, pd.NaT, np.float32("nan"), np.ma.masked, np.datetime64("NaT")]
+    for field in ("object", "id"):
+        for label in missing:
+            with pytest.raises(DatasetError, match=rf"^sample 0 \(.*\): {field}: is missing \(.*\): give a text"):
+                ft.write(tmp_path / "ds", [grasp(**{field: label})], pads)
+        for label in (["mug"], 3.5, True, {"a": 1}, np.array(["mug", "box"]), b"\xff", object, np.inf, 10**400):
+            with pytest.raises(
+                DatasetError, match=rf"^sample 0 .*{field}: .* is not (a name: give a text|text in UTF-8)"
+            ):
+                ft.write(tmp_path / "ds", [grasp(**{field: label})], pads)
+        with pytest.raises(DatasetError, match=rf"^sample 0 .*{field}: .* is not a plain name"):
+            ft.write(tmp_path / "ds", [grasp(**{field: "half \ud800"})], pads)
+    with pytest.raises(DatasetError, match=r"hand\.serial: is missing"):
+        ft.write(tmp_path / "ds", [grasp()], pads, hand={"name": "mine", "serial": np.nan})
+    ft.write(tmp_path / "ds", [grasp()], pads, hand={"serial": 5}, camera={"name": b"D415"})
+    assert (ft.open(tmp_path / "ds").identity.hand, ft.open(tmp_path / "ds").identity.camera) == (
+        {"serial": "5"},
+        {"name": "D415"},
+    )
+
+
+def test_what_is_masked_or_missing_is_not_measured(tmp_path: Path, pads: Path) -> None:
+    pd, pa = pytest.importorskip("pandas"), pytest.importorskip("pyarrow")
+    rows = pressed()
+    lost = np.zeros((100, 3), bool)
+    lost[::2] = True
+    filled = np.where(lost, 0, rows[:, :3])
+    cells = [
+        [None if gone else value for value, gone in zip(*row, strict=True)]
+        for row in zip(filled.tolist(), lost, strict=True)
+    ]
+    tables: dict[str, Any] = {
+        "masked": np.ma.masked_array(filled, lost), "masked integers": np.ma.masked_array(filled.astype(np.uint16), lost),
+        "NaN": np.where(lost, np.nan, filled), "None": cells, "NA of pandas": pd.DataFrame(cells).convert_dtypes(),
+        "a list of masked rows": list(np.ma.masked_array(filled, lost)), "vectors in cells": pd.Series(cells),
+        "vectors, some missing": pd.Series([None if gone[0] else row for row, gone in zip(filled.tolist(), lost, strict=True)]),
+        "vectors of arrow": pa.array([None if gone[0] else row for row, gone in zip(filled.tolist(), lost, strict=True)]),
+    }  # fmt: skip
+    for number, (name, left) in enumerate(tables.items()):
+        record = grasp(rows) | {"values": {"P_A": left, "P_B": rows[:, 3:]}}
+        with pytest.raises(DatasetError, match=r"values: P_A\[0\] of reading 0 is nan; 50 of 100 readings"):
+            ft.write(tmp_path / "ds", [record], pads)
+        with pytest.warns(UserWarning, match=r"missing_numbers \(hold\): 1 samples, first mug/7: 150"):
+            (sample,) = written(tmp_path / f"{number}", pads, record, missing="hold")
+        assert np.abs(sample.tare["P_A"] - 1000.0).max() < 5.0, name
+        assert_array_equal(sample.series.counts[1::2, :3], rows[1::2, :3])
+
+
+def test_masked_others_and_tares_are_missing(tmp_path: Path, pads: Path) -> None:
+    angle = np.ma.masked_array(np.arange(100.0), np.arange(100) == 3)
+    with pytest.raises(DatasetError, match="others: angle of reading 3 is nan"):
+        ft.write(tmp_path / "ds", [grasp(others={"angle": angle})], pads)
+    tare = {"P_A": np.ma.masked_array([990.0, 0.0, 990.0], [False, True, False]), "P_B": [990, 990, 990]}
+    (sample,) = written(tmp_path / "ds", pads, grasp(tare=tare))
+    assert_array_equal(sample.tare.values, [990.0, np.nan, 990.0, 990.0, 990.0, 990.0])
 
 
 def test_equal_stamps_gaps_and_another_rate_are_flagged_and_named(tmp_path: Path, pads: Path) -> None:
@@ -155,6 +280,41 @@ def test_no_contact_is_named(tmp_path: Path, pads: Path) -> None:
     with pytest.warns(UserWarning, match="no_contact: 1 samples, first mug/7: none found after 20 readings"):
         (record,) = written(tmp_path / "ds", pads, grasp(pressed(contact=100)))
     assert record.touch is None
+
+
+def test_a_sample_is_labelled_by_the_rules_of_the_recorder(tmp_path: Path, pads: Path) -> None:
+    frozen, dead, restless, lost = pressed(), pressed(), pressed(), pressed()
+    frozen[35:, 3:] = frozen[35, 3:]
+    dead[:, 3:] = dead[0, 3:]
+    restless[10:20] += 400
+    lost[5:8], lost[30:33] = 4000, 0  # saturated in the rest, and packets that a driver stored as zeros
+    alone = pressed()
+    alone[:, 3:] = pressed(seed=1, contact=100)[:, 3:]
+    cases = {
+        "frozen": (frozen, ("no_contact_B", "frozen_B"), True),
+        "dead": (dead, ("frozen_sensor",), False),
+        "restless": (restless, ("restless_tare",), False),
+        "alone": (alone, ("no_contact_B",), True),
+        "lost": (lost, (), True),
+    }
+    for name, (rows, flags, has_touch) in cases.items():
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            (sample,) = written(tmp_path / name, pads, grasp(rows))
+        assert (sample.flags, sample.touch is not None) == (flags, has_touch), name
+        assert [str(one.message).partition(":")[0] for one in caught] == [*flags], name
+        assert_array_equal(sample.series.counts, rows)
+        assert sample.contact_ns == (sample.series.stamps_ns[40] if has_touch else None)
+        assert set(np.flatnonzero(sample.series.phases == HOLD)) == (set(range(70, 100)) if has_touch else set())
+
+
+def test_a_tare_of_ones_own_is_kept_without_a_label(tmp_path: Path, pads: Path) -> None:
+    rows = pressed()
+    rows[:, 3:] = rows[0, 3:]
+    tare = {"P_A": np.full(3, 990.0), "P_B": np.full(3, 991.0)}
+    with pytest.warns(UserWarning, match="frozen_sensor: 1 samples, first mug/7: B: the same 100 times"):
+        (sample,) = written(tmp_path / "ds", pads, grasp(rows, tare=tare))
+    assert_array_equal(sample.tare.values, np.repeat([990.0, 991.0], 3))
 
 
 def test_missing_numbers_are_refused_held_or_masked_by_setting(tmp_path: Path, pads: Path) -> None:
@@ -194,7 +354,7 @@ REFUSED: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "fewer taxels": (lambda one: one["values"].update(P_A=one["values"]["P_A"][:, :2]), r"P_A: shape \(100, 2\) is not"),
     "fewer readings": (lambda one: one["values"].update(P_B=one["values"]["P_B"][:99]), r"P_B: shape \(99, 3\) is not"),
     "another unit": (lambda one: one["values"].update(P_A=one["values"]["P_A"] * 1e3), "not between 0 and 4000 counts, as most of P_A"),
-    "text": (lambda one: one["values"].update(P_A=[["x"] * 3] * 100), "values: P_A: could not convert"),
+    "text": (lambda one: one["values"].update(P_A=[["x"] * 3] * 100), r"values: P_A: .* is not of numbers: texts"),
     "a list": (lambda one: one.update(values=np.zeros((100, 6))), "values: give a mapping of P_A, P_B"),
     "others of another length": (lambda one: one.update(others={"a": [1, 2]}), "others: a: 2 numbers are not 100 readings"),
     "an outcome": (lambda one: one.update(outcome="held"), "outcome: 'held' is not one of success, failure, unknown"),
@@ -208,6 +368,12 @@ REFUSED: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "an array as cloud": (lambda one: one.update(cloud=np.zeros((3, 3))), "cloud, grasp: are not a Cloud"),
     "a start that is no time": (lambda one: one.update(start_s=np.nan), "start_s: nan is not finite"),
     "a rate of 0": (lambda one: one.update(rate_hz=one.pop("stamps_s")[0] * 0), "rate_hz: 0.0 is not above 0"),
+    "complex numbers": (lambda one: one["values"].update(P_A=one["values"]["P_A"] * 1j), "P_A: .* is not of numbers: complex numbers"),
+    "a number beyond float64": (lambda one: one["values"].update(P_A=[[10**400] * 3] * 100), "P_A: .* a number is too large"),
+    "rows of several lengths": (lambda one: one["values"].update(P_A=[[1.0], [1.0, 2.0]]), "P_A: .* rows of different lengths"),
+    "times for numbers": (lambda one: one["values"].update(P_A=np.zeros((100, 3), "datetime64[s]")), "P_A: .* is not of numbers: times"),
+    "a start that is text": (lambda one: one.update(start_s="now"), "start_s: now is not of numbers: texts"),
+    "a list as outcome": (lambda one: one.update(outcome=[True]), r"outcome: \[True\] is not one of success"),
 }  # fmt: skip
 
 

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from foretouch.errors import GraspError
-from foretouch.grasp.pose import closing_faults, hand_rotation, is_parallel, quaternion_xyzw, rotation_faults
+from foretouch.grasp.pose import closing_faults, hand_rotation, is_parallel
 from foretouch.types import Grasp, Grasps
+from foretouch.types.rotations import are_rotations, is_rotation, quaternion_xyzw, rotation_faults
 
 X, Y, Z = np.eye(3)
 vectors = st.tuples(*[st.floats(-1.0, 1.0, allow_subnormal=False)] * 3).map(np.array)
@@ -111,3 +112,16 @@ def test_lengths_whose_squares_are_out_of_range_have_the_same_rotation():
         np.testing.assert_allclose(hand_rotation(scale * g1, np.zeros(3), axis), expected, rtol=0.0, atol=1e-15)
         assert not is_parallel(scale * g1, np.zeros(3), axis)
     np.testing.assert_allclose(hand_rotation(g1, np.zeros(3), 1e-155 * axis), expected, rtol=0.0, atol=1e-15)
+
+
+def test_one_matrix_is_judged_as_many_are() -> None:
+    rng = np.random.default_rng(0)
+    turned = np.linalg.qr(rng.normal(size=(400, 3, 3)))[0]  # half of them left-handed
+    near = turned + rng.normal(size=turned.shape) * np.geomspace(1e-5, 0.1, 400)[:, None, None]
+    odd = np.stack(
+        [np.zeros((3, 3)), np.ones((3, 3)), np.full((3, 3), np.nan), np.full((3, 3), 1e200), 1.001 * np.eye(3)]
+    )
+    matrices = np.concatenate([turned, near, odd])
+    judged = are_rotations(matrices)
+    assert [is_rotation(matrix) for matrix in matrices] == judged.tolist()
+    assert 0.1 < judged.mean() < 0.9

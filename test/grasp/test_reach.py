@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.limits import check_object
 from foretouch.errors import GraspError
-from foretouch.grasp.pose import check_rotation
 from foretouch.grasp.reach import check_reach, reach_faults
 from foretouch.types import Grasp, Grasps
+from foretouch.types.rotations import check_rotation
 
 
 @pytest.fixture

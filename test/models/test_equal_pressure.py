@@ -43,6 +43,6 @@ def test_one_grasp_refused_grasps_and_models_without_intervals_get_no_flag():
     alone = Predictions.join([refused, rows[:1]])
     assert flag_equal_pressures(alone, model).flags.tolist() == [(), rows[0].flags]
     assert EQUAL_PRESSURE in flag_equal_pressures(Predictions.join([refused, rows]), model)[1].flags
-    plain = TouchModel(model.estimator, model.card)
+    plain = TouchModel(model.predictor, model.card)
     found = flag_equal_pressures(plain.predict(target, grasps), plain)
     assert not any(EQUAL_PRESSURE in p.flags for p in found)

@@ -133,7 +133,7 @@ def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() ->
             assert_array_equal(bounds([found]), [estimate.counts - half, estimate.counts + half])
             assert (found.reference, "unfamiliar" in found.flags) == ("none", group == "new")
 
-    known = "known" if small_estimator().estimate(sample.cloud, [sample.grasp]).in_distribution[0] else "new"
+    known = "known" if small_estimator().estimate(sample.cloud, [sample.grasp]).familiar[0] else "new"
     cases = [
         (calibration, cloud, group)
         for calibration in (make_calibration(), make_tracked_calibration())

@@ -18,6 +18,7 @@ from foretouch.ros.nodes.recorder import RecorderConfig
 FOLDER = Path(__file__).parents[2] / "launch"
 SHOWN = ["-p", "scene.path:=s.yaml", "-p", "scene.dwell_s:=2.0"]
 MODEL = ["-p", "model:=m.json"]
+SHARED = {"namespace": "/left", "params_file": "", "use_sim_time": "false", "respawn": "false"}
 NODES = {  # values of the arguments, then executables with what is peculiar to each
     "camera": ({}, {"camera": {}}),
     "perception": (
@@ -64,7 +65,7 @@ def describe(name, **values):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     context = LaunchContext()
-    context.launch_configurations.update({"namespace": "/left", "params_file": "", **values})
+    context.launch_configurations.update({**SHARED, **values})
     return module, module.generate_launch_description(), context
 
 
@@ -93,6 +94,12 @@ def test_each_node_gets_namespace_parameter_file_and_arguments(library):
             [("depth/image", "/depth/image_raw")],
             ["-p", "input:=depth"],
         )
+    for name in ("camera", "replay"):
+        module, _, context = describe(name, path="p.mcap", use_sim_time="true", respawn="true")
+        (node,) = getattr(module, name)(context)
+        if library == "stubs":  # a replay ends by itself
+            assert node.options["parameters"] == [{"use_sim_time": True}]
+            assert ("respawn" in node.options, "on_exit" in node.options) == (name == "camera", name == "replay")
     module, *_ = describe("recorder")
     known = {*RecorderConfig().to_mapping(), *(f"tactile.{name}" for name in RecorderConfig().tactile.to_mapping())}
     assert set(module.PARAMETERS.values()) <= known
@@ -111,7 +118,7 @@ def test_a_file_with_its_own_source_of_clouds_includes_the_rest_without_a_camera
         (included,) = included.function(context) if name == "replay" else (included,)
         assert included.source.parts[1:] == ["launch", "perception.launch.py"]
         given = {key: getattr(one, "perform", lambda _, v=one: v)(context) for key, one in included.launch_arguments}
-        own = {"camera": "false", "namespace": "/left", "params_file": "", **({"input": kind} if kind else {})}
+        own = {"camera": "false", **SHARED, **({"input": kind} if kind else {})}
         assert given == {**own, "model": "m.json", "rviz": "true"}
 
 

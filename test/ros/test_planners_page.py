@@ -9,7 +9,7 @@ import pytest
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.grasp.reach import OFF_OBJECT
 from foretouch.models.equal_pressure import EQUAL_PRESSURE
-from foretouch.models.estimator import UNFAMILIAR
+from foretouch.models.predictor import UNFAMILIAR
 from foretouch.models.touch_model import NO_TABLE, SIMILAR_TOUCHES
 from foretouch.ros.steps.selection import SELECTED
 from foretouch.ros.steps.touch_settings import COSTS

@@ -33,8 +33,10 @@ def _check_onsets(_: str, item: dict[str, Any], slot: int) -> None:
     course = SimulatedHand(config, GraspTimingConfig(rest_s=1.0)).execute(run(config, "grasp", slot=slot).grasp, slot)
     series = vectors(course.counts)
     stamps = np.arange(len(series)) * PERIOD
-    for onset in find_contact(stamps, series, series[: course.start]):
-        assert 0 <= onset // PERIOD - course.onset <= 5
+    for contact in find_contact(stamps, series, course.start):
+        assert contact.onset is not None
+        assert 0 <= contact.onset - course.onset <= 5
+        assert (contact.several, contact.drifted) == (False, False)
     detector, changes = ContactDetector(), []
     for stamp, reading in zip(stamps, series, strict=True):
         changes += detector.update(int(stamp), reading)

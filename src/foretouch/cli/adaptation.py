@@ -22,7 +22,7 @@ from foretouch.types import Float64, Grasp, Predictions, Sample, Touch
 
 if TYPE_CHECKING:
     from foretouch.models.calibration import Calibration
-    from foretouch.models.estimator import Estimate
+    from foretouch.models.predictor import Estimate
     from foretouch.models.touch_model import History, TouchModel
     from foretouch.pipeline import Pipeline
     from foretouch.tactile.description import Sensor

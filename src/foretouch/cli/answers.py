@@ -5,65 +5,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from foretouch.errors import ForetouchError
-from foretouch.grasp.pose import quaternion_xyzw
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import Grasp, Prediction, stamp_ns
+from foretouch.types import stamp_ns
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
     from foretouch_msgs.msg import TouchPredictionArray
-
-
-def grasp_record(grasp: Grasp) -> dict[str, Any]:
-    """Return a grasp for JSON: contacts [m], rotation row by row, score (null if undefined), and how a hand comes to it if it was planned for one."""
-    record = {
-        "g1": grasp.g1,
-        "g2": grasp.g2,
-        "rotation": grasp.rotation.reshape(9),
-        "score": None if math.isnan(grasp.score) else grasp.score,
-        "width_m": grasp.width_m,
-    }
-    if (way := grasp.way) is None:
-        return record
-    return record | {
-        "hand": way.hand,
-        "approach": way.approach,
-        "depth_m": way.depth_m,
-        "approaches": way.approaches,
-        "thumb_at": way.thumb_at,
-        "pose_of_hand": {
-            "position": way.pose_of_hand[:3, 3],
-            "quaternion_xyzw": quaternion_xyzw(way.pose_of_hand[:3, :3]),
-        },
-        "posture": dict(zip(way.joints, way.posture.tolist(), strict=True)),
-    }
-
-
-def prediction_record(prediction: Prediction) -> dict[str, Any]:
-    """Return one prediction for JSON: values and bounds of each of the modalities, bounds null without a calibration."""
-    ends = {"value": prediction.value.parts() if prediction.ok else {}}
-    ends |= {"lower": prediction.lower.parts(), "upper": prediction.upper.parts()} if prediction.calibrated else {}
-    return {
-        "grasp": grasp_record(prediction.grasp),
-        **{
-            name: {end: ends.get(end, {}).get(name) for end in ("value", "lower", "upper")}
-            for name in prediction.channels.modalities
-        },
-        "reference": prediction.reference,
-        "evidence": asdict(prediction.evidence),
-        "flags": list(prediction.flags),
-        "status": prediction.status,
-        "reason": prediction.reason,
-    }
 
 
 def contacts_text(grasp: Mapping[str, Any]) -> str:
@@ -86,13 +41,13 @@ def answer_record(message: TouchPredictionArray, sensor: Sensor = BIOTAC_SP) -> 
 
 
 def _message_record(message: TouchPredictionMsg, sensor: Sensor) -> dict[str, Any]:
-    """Return a prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its object and reason alone."""
+    """Return a prediction for JSON; one that cannot be read, such as with an unknown reference, gets its object and reason alone."""
     from foretouch.ros.messages.conversions import prediction_from_msg
     from foretouch.ros.messages.requests import status_name
 
     target = {"object": message.grasp.object_id}
     try:
-        return target | prediction_record(prediction_from_msg(message, sensor))
+        return target | prediction_from_msg(message, sensor).to_dict()
     except ForetouchError as err:
         status = status_name(message.status) if message.status else "failed"
         return target | {"status": status, "reason": message.reason or str(err)}

@@ -115,7 +115,7 @@ def _add_import(parser: CommandParser) -> None:
     )
     add_options(parser, "--sensor", "--thumb", "--middle", group=group)
     parser.add_argument(
-        "--object", group=group, default="unknown", metavar="NAME", help="name of the object on the table"
+        "--object", group=group, metavar="NAME", help="name of the object on the table (default: unknown)"
     )
 
 
@@ -288,9 +288,11 @@ def _build(arguments: argparse.Namespace) -> int:
 def _import(arguments: argparse.Namespace) -> int:
     sensor, thumb, middle = (getattr(arguments, name) or "" for name in ("sensor", "thumb", "middle"))
     config = TactileConfig(sensor=sensor, thumb=thumb, middle=middle)
-    topics = BagTopics(object=arguments.object, tactile_config=config, **dict(arguments.topic))
+    named = {"object": arguments.object} if arguments.object else {}
+    topics = BagTopics(tactile_config=config, **named, **dict(arguments.topic))
+    given = topics if topics != BagTopics() else None
     with progress_bar("importing", hidden=arguments.json) as advance:
-        result = import_samples(arguments.source, arguments.out, topics=topics, progress=advance)
+        result = import_samples(arguments.source, arguments.out, topics=given, progress=advance)
     for note in result.notes:
         warn(note)
     record = {"out": str(arguments.out), **vars(result), "left_out": +result.left_out}

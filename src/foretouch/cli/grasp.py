@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from foretouch.cli import inputs
-from foretouch.cli.answers import grasp_record
 from foretouch.cli.output import print_table
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
@@ -64,7 +63,7 @@ def _plan(
             "status": plan.status,
             "reason": plan.reason,
             "plane": target.plane.coefficients,
-            "grasps": [grasp_record(grasp) for grasp in plan.grasps],
+            "grasps": plan.grasps.to_dict()["grasps"],
             "initial_points": plan.initial_points,
             "axis": plan.axis,
             "centroid": plan.centroid,

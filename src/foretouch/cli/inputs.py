@@ -15,7 +15,7 @@ from foretouch.cloud.io.depth_files import PAIRING, DepthCamera
 from foretouch.cloud.io.mask_files import read_mask
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.source import SourceItem, open_source
-from foretouch.errors import CloudError, ConfigError, ForetouchError
+from foretouch.errors import CloudError, ConfigError, ForetouchError, shown
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Cloud, Grasps, Plane, Predictions, assumed_table
@@ -95,17 +95,26 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--intrinsics": {
         "type": numbers,
         "metavar": "fx,fy,cx,cy",
-        "help": "intrinsics of the depth images [pixels] (default: K in the file, or the camera of the folder)",
+        "help": "intrinsics of the depth images [pixels], without distortion (default: what the file, folder or recording states)",
     },
     "--camera-info": {
         "type": Path,
         "metavar": "FILE",
-        "help": "camera of the depth images: YAML of ROS, JSON of RealSense or Open3D, meta.mat of GraspNet, or a matrix as text",
+        "help": "camera of the depth images: YAML of ROS or OpenCV, JSON of RealSense, Open3D or BOP, meta.mat of GraspNet, or a matrix as text",
+    },
+    "--info-topic": {
+        "metavar": "TOPIC",
+        "help": "topic of the camera infos of a recording (default: camera_info beside the images, or the only one that fits them)",
+    },
+    "--rectified": {
+        "type": one_of("yes", "no"),
+        "metavar": "{yes,no}",
+        "help": "whether the depth images are rectified, so that P of their camera describes them (default: by their name, image_rect…)",
     },
     "--depth-scale": {
         "type": positive_value,
         "metavar": "M",
-        "help": "metres per unit of the depth images (default: 0.001 for 16 bits, 1 for floats)",
+        "help": "metres per unit of the depth images (default: what the file or recording states, else 0.001 for 16 bits, 1 for floats)",
     },
     "--mask": {
         "metavar": "FILE",
@@ -162,7 +171,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments that several commands share, by name."""
 
-CAMERA: Final = ("--intrinsics", "--camera-info", "--depth-scale")
+CAMERA: Final = ("--intrinsics", "--camera-info", "--info-topic", "--rectified", "--depth-scale")
 READ: Final = ("inputs", "--topic", "--config", "--set", *CAMERA, "--mask", "--picture")
 PLANNED: Final = ("--plane", "--scene", "--target", "--hand")
 CHOSEN: Final = ("--pixel", "--point")
@@ -213,11 +222,13 @@ def pipeline_config(
 
 
 def depth_camera(arguments: argparse.Namespace) -> DepthCamera:
-    """Make the camera of depth files by the options `CAMERA`; a `ConfigError` if they state it twice."""
-    if arguments.intrinsics and arguments.camera_info:
-        raise ConfigError("--intrinsics, --camera-info: state the camera twice; give one of them")
+    """Make the camera of depth images by the options `CAMERA`; a `ConfigError` if they state it twice."""
     return DepthCamera(
-        intrinsics=tuple(arguments.intrinsics or ()), info=arguments.camera_info, scale=arguments.depth_scale
+        intrinsics=tuple(arguments.intrinsics or ()),
+        info=arguments.camera_info,
+        scale=arguments.depth_scale,
+        rectified=None if arguments.rectified is None else arguments.rectified == "yes",
+        info_topic=arguments.info_topic or "",
     )
 
 
@@ -265,6 +276,8 @@ def target_objects(
         CloudError: If there is no object, or none at --pixel or --point.
     """
     if holds_one_object(item.cloud, arguments):
+        if arguments.target:
+            raise ConfigError("--target: is for the objects of a scene, and this cloud is one object; add --scene")
         target = only_object(item.cloud, arguments)
         return [target], target, ""
     scene = scene_of(item, arguments, pipeline)
@@ -355,4 +368,5 @@ def _results(
 
 def error_line(name: str, err: ForetouchError) -> str:
     """Return the message of an error, with the name of the input where it lacks it."""
-    return str(err) if name in str(err) else f"{name}: {err}"
+    text = str(err)
+    return text if name in text or shown(name) in text else f"{shown(name)}: {text}"

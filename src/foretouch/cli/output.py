@@ -9,16 +9,15 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-
 from foretouch.bounded_queue import BoundedQueue
 from foretouch.errors import escaped
+from foretouch.types.arrays import plain
 
 
 def print_json(record: Mapping[str, Any]) -> None:
     """Print one line on stdout and flush it. Numbers that are not finite become null."""
     utf8 = (sys.stdout.encoding or "").lower() in {"utf-8", "utf8"}
-    sys.stdout.write(json.dumps(_plain(record), allow_nan=False, ensure_ascii=not utf8) + "\n")
+    sys.stdout.write(json.dumps(plain(record), allow_nan=False, ensure_ascii=not utf8) + "\n")
     sys.stdout.flush()
 
 
@@ -65,7 +64,7 @@ class JsonLines:
         while (item := self._items.get()) is not None:
             self._in_print = 1
             try:
-                line = json.dumps(_plain(self._record(item)), allow_nan=False, ensure_ascii=not self._utf8) + "\n"
+                line = json.dumps(plain(self._record(item)), allow_nan=False, ensure_ascii=not self._utf8) + "\n"
                 rest = line.encode()
                 while rest:  # past sys.stdout: a thread that waits in it would keep Python from ending
                     rest = rest[os.write(self._file, rest) :]
@@ -129,14 +128,3 @@ def progress_bar(description: str, total: int | None = None, *, hidden: bool = F
 def warn(message: str) -> None:
     """Print one line on stderr."""
     print(f"foretouch: {escaped(message)}", file=sys.stderr)
-
-
-def _plain(value: Any) -> Any:
-    """Convert arrays, mappings and numbers to JSON types."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -10,7 +10,7 @@ from typing import Any, Final
 from foretouch.errors import nearest, none_of
 
 _GROUPS: Final = {
-    "what is read": "topic intrinsics camera_info depth_scale mask target pixel point plane scene hand grasp data source dwell rate loop restamp resume "
+    "what is read": "topic intrinsics camera_info info_topic rectified depth_scale mask target pixel point plane scene hand grasp data source dwell rate loop restamp resume "
     "sensor thumb middle check assume_grasps object objects",
     "model and adaptation": "model tare touched history prequential tip_mm slide_m vary",
     "settings": "config set params namespace count seconds samples seed workers preset address explain wait_for "
@@ -18,6 +18,8 @@ _GROUPS: Final = {
     "what is written": "all json out output picture serve save screenshot labels_out no_sheet redraw",
 }
 """Names of options by the heading under which help lists them."""
+
+_NARROWEST: Final = 20  # columns of help, however narrow the terminal says that it is
 
 STATUSES: Final = (
     "0 done; 1 a known failure, in one line that names what and why; 2 wrong usage; 128 + n ended by signal n"
@@ -84,8 +86,8 @@ class CommandParser(argparse.ArgumentParser):
         self._choice: Any = None
         self.headings = {title: self.add_argument_group(title) for title in _GROUPS}
         name = self.prog.partition(" ")[2]
-        width = shutil.get_terminal_size().columns - 2
-        statuses = textwrap.wrap(STATUSES + _MORE_STATUSES.get(name, ""), width - 2)
+        width = max(shutil.get_terminal_size().columns - 4, _NARROWEST)
+        statuses = textwrap.wrap(STATUSES + _MORE_STATUSES.get(name, ""), width)
         self.epilog = "\n".join(
             ["example:", f"  {EXAMPLES[name]}", "", "exit status:", *(f"  {line}" for line in statuses)]
         )

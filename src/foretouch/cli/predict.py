@@ -16,13 +16,13 @@ import numpy as np
 
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
-from foretouch.cli.answers import contacts_text, modality_text, prediction_record
+from foretouch.cli.answers import contacts_text, modality_text
 from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import needs_laboratory
-from foretouch.models.estimator import UNFAMILIAR_CURE
+from foretouch.models.predictor import UNFAMILIAR_CURE
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import Pipeline
@@ -100,7 +100,7 @@ def _answer(
             **({"selected": selected} if selected else {}),
             "status": "ok" if predictions and not refused else "refused",
             "reason": "; ".join(refused) or reason,
-            "predictions": [prediction_record(prediction) for prediction in predictions],
+            "predictions": predictions.to_dict()["predictions"],
             "model": _named(pipeline.model),
             "touched": len(others(adaptation.touched, item.sample)),
             "ms": {**ms, "total": sum(ms.values())},
@@ -112,9 +112,10 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
     with needs_laboratory("--prequential"):
         from foretouch_lab.learning.prequential import replay_model
-    for name in ("tare", "touched", "grasp", "mask", "picture", "plane", "scene", "target", "hand", "pixel", "point"):
-        if getattr(arguments, name):
-            raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
+    unused = {*inputs.READ, *inputs.PLANNED, *inputs.CHOSEN, "--tare", "--touched", "--grasp"} - {"inputs"}
+    for option in sorted(unused):
+        if getattr(arguments, option.removeprefix("--").replace("-", "_")):
+            raise ConfigError(f"{option}: cannot be combined with --prequential")
 
     model = load_model(arguments.model) if arguments.model else load_model()
     channels = model.sensor.channels
@@ -138,7 +139,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
             "object": sample.object,
             "status": "ok",
             "reason": "",
-            "predictions": [prediction_record(predicted)],
+            "predictions": [predicted.to_dict()],
             "model": _named(model),
             "touched": evidence.touches,
             "history": evidence.readings,
@@ -157,6 +158,8 @@ def _grasps(
         pairs = np.array(arguments.grasp, dtype=np.float64).reshape(-1, 2, 3)
         return [pipeline.grasp_between(target, g1, g2) for g1, g2 in pairs], ""
     if item.sample is not None:
+        if arguments.hand:
+            raise ConfigError("--hand: is for planned grasps, and a sample has its own")
         return [item.sample.grasp], ""
     plan = pipeline.plan(target)
     if not plan.grasps:

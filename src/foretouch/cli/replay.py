@@ -8,6 +8,7 @@ from foretouch.cli.inputs import depth_camera
 from foretouch.cli.output import print_json, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.cli.run import add_replay_arguments, replay_fault, source_parameters
+from foretouch.errors import ConfigError
 from foretouch.ros.graph import Graph
 
 if TYPE_CHECKING:
@@ -25,11 +26,13 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Return exit status 1 if the replay could not start or failed."""
+    from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
 
-    open_source(
-        arguments.path, arguments.topic, camera=depth_camera(arguments)
-    )  # so that an absent one is reported before anything starts
+    # So that an absent one is reported before anything starts.
+    source = open_source(arguments.path, arguments.topic, camera=depth_camera(arguments))
+    if arguments.plane is not None and not cloud_is_object(source):
+        raise ConfigError(f"--plane: is for the points of one object; the table is found in {arguments.path}")
     parameters = source_parameters(arguments, arguments.path)
     parameters |= {"loop": arguments.loop, "restamp": arguments.restamp}
     if arguments.no_wait:

@@ -287,6 +287,8 @@ def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any
         "topic": arguments.topic or None,
         "intrinsics": arguments.intrinsics,
         "camera_info": None if arguments.camera_info is None else str(arguments.camera_info.resolve()),
+        "info_topic": arguments.info_topic or None,
+        "rectified": arguments.rectified,
         "depth_scale": arguments.depth_scale,
         "rate_hz": arguments.rate,
         "table": arguments.plane,

@@ -4,6 +4,7 @@
 import argparse
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -12,9 +13,10 @@ from foretouch.cli.inputs import READ, add_options, check_single, draw_result, p
 from foretouch.cli.output import print_table
 from foretouch.cli.parser import CommandParser
 from foretouch.cloud.geometry.limits import check_object
+from foretouch.cloud.io.files import npy_bytes
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, LimitError
-from foretouch.files import require_writable
+from foretouch.files import replace_files, require_writable
 from foretouch.pipeline import Pipeline
 from foretouch.types import Cloud
 
@@ -48,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> Iterator[dict[str, Any]]:
     scene = scene_of(item, arguments, pipeline)
     if arguments.labels_out:
-        np.save(arguments.labels_out, scene.labels, allow_pickle=False)
+        replace_files({Path(arguments.labels_out): npy_bytes(scene.labels)})
     draw_result(arguments, scene)
     yield {
         "status": scene.status,

@@ -94,7 +94,8 @@ def check_ros() -> None:
 
 
 if __name__ == "__main__":
+    from foretouch.files import write_text
     from foretouch.models import available_models
 
     lines = [f' "{name}": {json.dumps(_answers(name))}' for name in sorted(available_models())]
-    _EXPECTED.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    write_text(_EXPECTED, "{\n" + ",\n".join(lines) + "\n}\n")

@@ -18,7 +18,7 @@ from foretouch.cli.parser import CommandParser
 from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.samples import SampleSet, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
-from foretouch.errors import ForetouchError
+from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import require_existing, require_writable
 from foretouch.pipeline import Pipeline
 from foretouch.report.rerun_view import ViewStep, write_view
@@ -49,9 +49,13 @@ def run(arguments: argparse.Namespace) -> int:
             require_writable(out, suffix)
     pipeline = Pipeline(inputs.pipeline_config(arguments, defaults={"grasp.count": 10}))
     is_set = arguments.topic is None and is_sample_set(path)
+    if is_set:
+        inputs.depth_camera(arguments).require_none(path, "is a dataset, whose clouds are stored")
+        _require_unset(arguments, "--scene", "--target", "--hand")
     samples, refused = open_samples(path, unfinished=True) if is_set else None, list[str]()
     sensor = pipeline.model.sensor if samples is None else samples.sensor
     if samples is not None and len(samples) and not len(samples.read(0).cloud.finite):
+        _require_unset(arguments, "--plane", "--model", "--config", "--set", *inputs.ADAPTED)
         sensor, steps = sensor_of_samples(samples), _readings(samples)
     else:
         require_same(pipeline.model.sensor.channels, sensor.channels, f"model {pipeline.model.name}")
@@ -69,6 +73,15 @@ def run(arguments: argparse.Namespace) -> int:
     for written in filter(None, (arguments.save, arguments.screenshot)):
         warn(f"wrote {written}")
     return int(bool(refused))
+
+
+def _require_unset(arguments: argparse.Namespace, *options: str) -> None:
+    """Refuse options that samples have no use for, by a `ConfigError`."""
+    for option in options:
+        if getattr(arguments, option.removeprefix("--")) not in (None, False, []):
+            raise ConfigError(
+                f"{option}: is not for the samples of {arguments.path}, which are shown as they were recorded"
+            )
 
 
 def _readings(samples: SampleSet) -> Iterator[ViewStep]:
@@ -129,6 +142,8 @@ def _of_cloud(view: _View, item: SourceItem, *, stamped: bool) -> ViewStep:
     cloud, target = item.cloud, None
     shown: dict[str, Any] = {"name": item.name, "cloud": cloud, "stamp_ns": cloud.stamp_ns if stamped else 0}
     if inputs.holds_one_object(cloud, view.arguments):
+        if view.arguments.target:
+            raise ConfigError("--target: is for the objects of a scene, and this cloud is one object; add --scene")
         target = inputs.only_object(cloud, view.arguments)
         shown["table"] = target.plane
     else:

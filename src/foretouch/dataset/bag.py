@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
@@ -19,16 +19,16 @@ from heapq import merge
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, info_topic
+from foretouch.cloud.io.depth_files import DepthCamera
+from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, decode_depth, info_topic
 from foretouch.cloud.messages import decode_cloud
 from foretouch.config import load_yaml
-from foretouch.dataset.mcap_reader import Damage, McapReader
-from foretouch.errors import CloudError, FileError, ForetouchError
+from foretouch.dataset.bag_files import PACKED, McapFile, known_failures, open_storage, plain
+from foretouch.errors import CloudError, FileError, ForetouchError, none_of
 from foretouch.files import open_regular, require_existing
-from foretouch.types import Cloud
+from foretouch.types import Cloud, stamp_ns
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection, MessageDefinition
@@ -42,10 +42,9 @@ _COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
 _CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _HEADER_TYPE = "std_msgs/msg/Header"
 RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
-_PACKED: Final = ".zstd"  # at the end of the names of files that were compressed as a whole
-_PACKED_SUFFIXES: Final = (".mcap.zstd", ".db3.zstd")
+_PACKED_SUFFIXES: Final = (f".mcap{PACKED}", f".db3{PACKED}")
 _METADATA: Final = "metadata.yaml"
-_ZSTD: Final = bytes.fromhex("28b52ffd")  # with which no CDR begins
+_VIEWER: Final = re.compile(r"(/device_\d+/sensor_\d+)/(\w+)/image/data")  # images in recordings of librealsense
 _TAXELS = "/foretouch/taxels/"  # clouds that are no camera's, in recordings of foretouch 0.3 and older
 
 
@@ -78,6 +77,7 @@ class Recording:
 
     Args:
         path: A rosbag2 directory, a directory of `.mcap` or `.db3` files, such a file, or a ROS 1 `.bag`.
+        camera: What is known of the camera of its depth images; it goes before what is recorded.
 
     Attributes:
         topics: What it holds; of an MCAP file without an index, as far as it is intact.
@@ -87,12 +87,14 @@ class Recording:
         FileError: If the path is not a recording, or is truncated or damaged. An MCAP file is read as far as it is intact.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, camera: DepthCamera | None = None) -> None:
         self.path = Path(path)
+        self._camera = camera or DepthCamera()
+        self._info_topics: dict[str, str] = {}
         files = _storage_files(self.path)
         with ExitStack() as stack:
-            self._readers = [_opened(file, stack) for file in files]
-            with _known_failures(self.path):
+            self._readers = [open_storage(file, stack) for file in files]
+            with known_failures(self.path):
                 self._connections = [connection for reader in self._readers for connection in reader.connections]
                 self.topics: tuple[Topic, ...] = tuple(self._topics())
             if not self.topics:
@@ -134,9 +136,13 @@ class Recording:
                 rule = f"no messages of {POINT_CLOUD_TYPE}, nor depth images ({', '.join(ENCODINGS)}, compressedDepth)"
             raise FileError(self.path, f"{rule}: {_listed(qualified or self.topics)}", field=topic)
         name = qualified[0].name
-        if qualified[0].type != POINT_CLOUD_TYPE and not self.info_topic(name):
-            rule = f"depth images need their camera info, and {info_topic(name)} is absent: record it too"
-            raise FileError(self.path, rule, field=name)
+        if qualified[0].type == POINT_CLOUD_TYPE:
+            self._camera.require_none(self.path, f"{name} holds clouds of points")
+        elif not self._camera.is_known and not self.info_topic(name):
+            rule = f"depth images need their camera info, and {info_topic(name)} is absent: record it too, or give"
+            others = ", ".join(self._infos()) or "none"
+            cure = f"{rule} --info-topic (there are: {others}), --camera-info or --intrinsics"
+            raise FileError(self.path, cure, field=name)
         return name
 
     def _is_depth(self, topic: Topic) -> bool:
@@ -150,18 +156,71 @@ class Recording:
             return False
 
     def info_topic(self, topic: str) -> str:
-        """Find the topic of the camera infos of depth images; "" for clouds, or where it is absent."""
-        types = {recorded.name: recorded.type for recorded in self.topics if recorded.count}
-        beside = info_topic(topic)
-        return (
-            beside
-            if types.get(topic) in {_IMAGE_TYPE, _COMPRESSED_TYPE} and types.get(beside) == _CAMERA_INFO_TYPE
-            else ""
-        )
+        """Find the topic of the camera infos of depth images.
+
+        It is the given one, `camera_info` beside the images, librealsense's name, or the only one whose first info is of the
+        frame and size of the first image; "" for clouds, or where there is none.
+
+        Raises:
+            FileError: If the given one is absent, or holds other messages or none.
+        """
+        if topic not in self._info_topics:
+            self._info_topics[topic] = self._find_info(topic)
+        return self._info_topics[topic]
+
+    def kind_of(self, topic: str) -> str:
+        """Return the type of the messages of a topic; "" where there are none."""
+        return next((recorded.type for recorded in self.topics if recorded.name == topic and recorded.count), "")
+
+    def _infos(self) -> list[str]:
+        return [recorded.name for recorded in self.topics if recorded.count and recorded.type == _CAMERA_INFO_TYPE]
+
+    def _find_info(self, topic: str) -> str:
+        images, infos = (_IMAGE_TYPE, _COMPRESSED_TYPE), self._infos()
+        if self.kind_of(topic) not in images:
+            return ""
+        given = self._camera.info_topic
+        if given and given not in infos:
+            raise FileError(self.path, f"--info-topic {none_of(given, infos)}", field=topic)
+        named = [given] if given else [info_topic(topic), _VIEWER.sub(r"\1/\2/info/camera_info", topic)]
+        found = next((name for name in named if name in infos), None)
+        if found is not None:
+            return found
+        fitting = [name for name in infos if self._fits(topic, name)]
+        return fitting[0] if len(fitting) == 1 else ""
+
+    def _fits(self, topic: str, info: str) -> bool:
+        """Return whether the first camera info of a topic is of the frame and size of the first depth image of another."""
+        try:
+            image = next(self.messages([topic]))
+            infos = CameraInfos(topic)
+            infos.add(self.content(next(self.messages([info]))), 0.0)
+            content = self.content(image)
+            depth = decode_depth(content)
+            infos.camera(content.header.frame_id, (depth.shape[0], depth.shape[1]), 0.0)
+        except (CloudError, FileError, StopIteration):
+            return False
+        return True
+
+    def _unit(self, topic: str) -> float | None:
+        """Return the metres per unit that librealsense records beside its depth images; None in other recordings."""
+        viewer = _VIEWER.fullmatch(topic)
+        unit = f"{viewer[1]}/option/Depth Units/value" if viewer else ""
+        if not self.kind_of(unit):
+            return None
+        return float(self.content(next(self.messages([unit]))).data)
+
+    def is_converted(self, topic: str) -> bool:
+        """Return whether nodes would read the depth images of a topic otherwise: with `camera_info` beside them, in the unit of their encoding."""
+        if self.kind_of(topic) == POINT_CLOUD_TYPE:
+            return False
+        return bool(self._camera.stated) or self.info_topic(topic) != info_topic(topic) or self._unit(topic) is not None
 
     def first_info(self, topic: str) -> CameraInfos:
         """Read the first camera info of a topic of depth images, which is for the images before it; clouds have no camera info."""
-        infos, beside = CameraInfos(topic), self.info_topic(topic)
+        beside = "" if self._camera.is_known else self.info_topic(topic)
+        scale = self._camera.scale if self._camera.scale is not None else self._unit(topic)
+        infos = CameraInfos(topic, beside, rectified=self._camera.rectified, scale=scale)
         for message in islice(self.messages([beside]), 1) if beside else ():
             infos.add(self.content(message), message.bag_time_ns * 1e-9)
         return infos
@@ -172,7 +231,8 @@ class Recording:
         A depth image has the camera of the last info before it, the first ones the camera of the first info. What decodes a
         message raises a `FileError` if it is damaged or has no camera; the iteration as `messages`.
         """
-        beside, infos = self.info_topic(topic), self.first_info(topic)
+        infos = self.first_info(topic)
+        beside = "" if self._camera.is_known else self.info_topic(topic)
         for message in self.messages({topic, beside}):
             if message.topic == topic:
                 yield message, partial(self.decode_cloud, message, infos)
@@ -190,16 +250,16 @@ class Recording:
         runs = []
         for reader in self._readers:
             wanted = [channel for channel in reader.connections if topics is None or channel.topic in topics]
-            if wanted or isinstance(reader, _McapFile):  # whose damage is found in any case
+            if wanted or isinstance(reader, McapFile):  # whose damage is found in any case
                 runs.append(reader.messages(wanted))
-        with _known_failures(self.path):
+        with known_failures(self.path):
             for connection, time_ns, raw in merge(*runs, key=itemgetter(1)):
                 topic, definition = connection.topic, _definition(connection)
                 _, kind, ros1 = definition
-                data = bytes(_typestore(*definition).ros1_to_cdr(raw, kind)) if ros1 else _plain(raw)
+                data = bytes(_typestore(*definition).ros1_to_cdr(raw, kind)) if ros1 else plain(raw, self.path)
                 yield Message(topic, kind, counts[topic], time_ns, data, definition)
                 counts[topic] += 1
-        faults = [file.fault for file in self._readers if isinstance(file, _McapFile) and file.fault]
+        faults = [file.fault for file in self._readers if isinstance(file, McapFile) and file.fault]
         if faults:
             rule = faults[0].rule
             if len(faults) > 1:
@@ -212,7 +272,7 @@ class Recording:
 
     def content(self, message: Message) -> Any:
         """Return the fields of a message, as an object that resembles a ROS message; a `FileError` if it is damaged."""
-        with _known_failures(self.path, _position(message)):
+        with known_failures(self.path, _position(message)):
             try:
                 return _typestore(*message.definition).deserialize_cdr(message.data, message.type)
             except KeyError as err:
@@ -225,7 +285,13 @@ class Recording:
         try:
             if infos is None or message.type == POINT_CLOUD_TYPE:
                 return decode_cloud(content)
-            return infos.cloud(content, message.bag_time_ns * 1e-9)
+            if not self._camera.is_known:
+                return infos.cloud(content, message.bag_time_ns * 1e-9)
+            depth = decode_depth(content)
+            model, scale = self._camera.recorded((depth.shape[0], depth.shape[1]), message.topic)
+            scale = self._unit(message.topic) if scale is None else scale
+            stamped = {"frame_id": content.header.frame_id, "stamp_ns": stamp_ns(content.header.stamp)}
+            return Cloud.from_depth(depth, model, scale, **stamped)
         except CloudError as err:
             raise FileError(self.path, str(err), field=_position(message)) from err
 
@@ -238,87 +304,6 @@ class Recording:
             stamped = bool(fields) and fields[0][1][1] == _HEADER_TYPE
             count, latched = sum(connection.msgcount for connection in connections), any(map(_is_latched, connections))
             yield Topic(name, kind, count, tuple(f[0] for f in fields), stamped, latched)
-
-
-class _McapFile:
-    """An MCAP file behind the interface of the readers of `rosbags`."""
-
-    def __init__(self, path: Path, shown: Path) -> None:
-        from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
-        from rosbags.rosbag2.metadata import parse_qos
-
-        self.fault: FileError | None = None
-        self._shown = shown
-        self._file = McapReader(path)
-        counts = self._file.count_messages()
-        self.connections: list[Connection] = []
-        formats = {"ros2msg": MessageDefinitionFormat.MSG, "ros1msg": MessageDefinitionFormat.MSG}
-        formats |= dict.fromkeys(("ros2idl", "omgidl"), MessageDefinitionFormat.IDL)
-        for number, channel in sorted(self._file.channels.items()):
-            schema = self._file.schemas.get(channel.schema_id)
-            form = formats.get(schema.encoding if schema else "", MessageDefinitionFormat.NONE)
-            text = schema.data.decode("utf-8", "replace") if schema else ""
-            qos: list[Any] = []
-            with suppress(Exception):  # is advice, and others write texts of their own
-                qos = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
-            ext = ConnectionExtRosbag2(channel.message_encoding or "cdr", qos)
-            definition = MessageDefinition(form, text)
-            kind = schema.name if schema else ""
-            self.connections.append(Connection(number, channel.topic, kind, definition, "", counts[number], ext, self))
-
-    def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """Iterate over the messages of some connections with their times [ns], in order; damage then is the `fault`."""
-        by_number = {connection.id: connection for connection in connections}
-        faults: list[Damage] = []
-        for item in self._file.in_time({connection.topic for connection in connections}):
-            if isinstance(item, Damage):
-                faults.append(item)
-            elif item[0].channel in by_number:
-                yield by_number[item[0].channel], item[0].log_time_ns, item[1]
-        if faults:
-            first = faults[0].error(self._shown)
-            cure = f"what is intact was read; `foretouch dataset repair {self._shown}` makes a complete file of it"
-            cure = cure if any(connection.msgcount for connection in self.connections) else "no message can be read"
-            self.fault = FileError(self._shown, f"{first.rule}: {cure}", field=first.field)
-
-
-def _opened(file: Path, stack: ExitStack) -> Any:
-    """Return a reader of one file, with `connections` and `messages`; it is closed with the stack."""
-    from rosbags.rosbag1 import Reader as Ros1Reader
-    from rosbags.rosbag2 import Reader as Ros2Reader
-
-    opened = file
-    if file.suffix == _PACKED:
-        opened = _unpacked(file, Path(stack.enter_context(TemporaryDirectory())))
-    if opened.suffix == ".mcap":
-        return _McapFile(opened, file)
-    journal = opened.with_name(f"{opened.name}-wal")
-    if journal.is_file() and journal.stat().st_size:
-        cure = (
-            f"was not closed, and holds messages in {journal.name}: `sqlite3 {file} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
-        )
-        raise FileError(file, cure)
-    with _known_failures(file):
-        return stack.enter_context(Ros1Reader(opened) if opened.suffix == ".bag" else Ros2Reader(opened))
-
-
-def _unpacked(file: Path, folder: Path) -> Path:
-    """Return a file that was compressed as a whole, unpacked into a folder."""
-    import zstandard
-
-    unpacked = folder / file.stem
-    with _known_failures(file), open_regular(file) as packed, unpacked.open("wb") as out:
-        zstandard.ZstdDecompressor().copy_stream(packed, out)
-    return unpacked
-
-
-def _plain(data: bytes) -> bytes:
-    """Return a message, which may have been compressed by itself."""
-    if not data.startswith(_ZSTD):
-        return data
-    import zstandard
-
-    return bytes(zstandard.ZstdDecompressor().decompressobj().decompress(data))
 
 
 @cache
@@ -414,22 +399,6 @@ def _storage_files(path: Path) -> list[Path]:
 
 def _loose_files(path: Path) -> list[Path]:
     return sorted(p for p in path.iterdir() if p.suffix in {".mcap", ".db3"} or p.name.endswith(_PACKED_SUFFIXES))
-
-
-@contextmanager
-def _known_failures(path: Path, position: str | None = None) -> Iterator[None]:
-    """Turn the parsers' exceptions into one line; damaged bytes make them raise exceptions of any library and of Python."""
-    try:
-        yield
-    except FileError:
-        raise
-    except PermissionError as err:
-        raise FileError(path, err.strerror or "may not be read", field=position) from err
-    except Exception as err:
-        cause = " ".join(str(err).split())
-        if not type(err).__module__.startswith("rosbags"):
-            cause = f"{type(err).__name__}: {cause}" if cause else type(err).__name__
-        raise FileError(path, f"truncated or damaged: {cause}", field=position) from err
 
 
 def _type_of(connection: Connection) -> str:

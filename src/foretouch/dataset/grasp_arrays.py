@@ -8,12 +8,11 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.dataset.identity import check_id
-from foretouch.dataset.pairing.matcher import SETTLE_NS
-from foretouch.errors import DatasetError, none_of
-from foretouch.tactile.contact_detector import RELEASE_LEVEL, contact_scores, find_contact
+from foretouch.dataset.identity import check_id, name_of
+from foretouch.dataset.pairing.cut import PairingError, label_series
+from foretouch.dataset.stamps import read_stamps, stamp_faults
+from foretouch.errors import DatasetError, none_of, shown
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.readings import rest_of
 from foretouch.types import (
     APPROACH,
     HOLD,
@@ -32,26 +31,26 @@ from foretouch.types import (
     Touch,
     TouchSeries,
 )
+from foretouch.types.arrays import is_missing, numbers
 from foretouch.types.channels import Channels
 
 Missing = Literal["refuse", "hold", "mask"]
 Remarks = dict[str, list[str]]  # the samples to look at, by what is remarkable
 
 _OUTCOMES: Final[dict[Any, Outcome]] = {True: "success", False: "failure", None: "unknown"}
-_FACTOR: Final = 2.0  # between the rate of the stamps and the rate in the sensor's description
-_GAP: Final = 5.0  # usual steps from a reading to the next
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GraspArrays:
-    """The arrays of one grasp, as pandas or h5py read them.
+    """The arrays of one grasp, as pandas or h5py read them. Masked numbers, None and NA of pandas are missing, as NaN.
 
     Attributes:
-        object: Name of the object; a number is taken as its text.
+        object: Name of the object; a whole number or bytes become its text.
         values: By modality (channel and finger, such as E_TH) the numbers of all taxels: (T, M) of T readings, also with
             more dimensions behind the first, or (M,) of one reading, which is the touch.
         id: Name of the grasp among the grasps of its object; by default a number.
-        stamps_ns: (T,) whole numbers [ns] since 1970, or datetime64.
+        stamps_ns: (T,) whole numbers [ns] since 1970, or dates of any zone: datetime64, `datetime`, columns of pandas; those
+            without a zone are in UTC. timedelta64 is the time since `start_s`.
         stamps_s: (T,) [s] since 1970 or since `start_s`; or give `rate_hz`. Of one reading a number.
         rate_hz: Readings per second, where the source has no stamps.
         start_s: Added to `stamps_s`, or the time of the first reading [s].
@@ -88,8 +87,13 @@ class GraspArrays:
             raise DatasetError(f"rest: {self.rest} is not a number of readings")
         if not isinstance(self.cloud, Cloud) or not isinstance(self.grasp, Grasp):
             raise DatasetError("cloud, grasp: are not a Cloud and a Grasp of foretouch")
-        if not np.isfinite(self.start_s):
-            raise DatasetError(f"start_s: {self.start_s} is not finite")
+        for name in ("start_s", "rate_hz"):
+            if (value := getattr(self, name)) is None:
+                continue
+            number = numbers(value, name, DatasetError)
+            if number.shape or not np.isfinite(number):
+                raise DatasetError(f"{name}: {shown(value)} is not finite")
+            object.__setattr__(self, name, float(number))
 
     def sample(self, sensor: Sensor, missing: Missing, remarks: Remarks) -> Sample:
         """Make the sample of the grasp.
@@ -105,8 +109,9 @@ class GraspArrays:
         """
         if missing not in get_args(Missing):
             raise DatasetError(f"missing: {none_of(missing, get_args(Missing))}")
-        channels, label = sensor.channels, str(self.object)
-        name = f"{label}/{self.id}" if str(self.id) else ""
+        channels, label = sensor.channels, name_of(self.object, "object")
+        own = name_of(self.id, "id")
+        name = f"{label}/{own}" if own else ""
         check_id(name or f"{label}/1", label)
         counts = _joined(self.values, channels, "values")
         rows, whole, gone = _complete(counts.reshape(-1, channels.size), channels, missing, "values")
@@ -129,29 +134,50 @@ class GraspArrays:
             tare=tare,
             stamp_ns=int(stamps[0]),
             outcome=_outcome(self.outcome),
-            note=str(self.note),
+            note="" if is_missing(self.note) else str(self.note),
             flags=tuple(flags),
         )
         if counts.ndim == 1:
             extra = {key: float(column[0]) for key, column in others.items()}
             return replace(sample, touch=Touch(rows[0], channels), extra=extra)
-        touch, rested, phases, contact_ns = _cut(stamps, rows, whole, self.rest, channels)
-        if self.rest and touch is None:
-            remark = f"{name or label}: none found after {self.rest} readings at rest, so no touch"
-            remarks.setdefault("no_contact", []).append(remark)
+        phases = np.where(np.arange(len(rows)) < self.rest, REST, APPROACH).astype(np.uint8)
+        faults = stamp_faults(stamps, sensor.config.update_rate)
+        series = TouchSeries(stamps, rows.astype(np.float32), phases, others)
+        sample = replace(sample, series=series, flags=(*flags, *faults))
+        return self._labelled(sample, rows, whole, channels, remarks) if self.rest else sample
+
+    def _labelled(self, sample: Sample, rows: Float64, whole: Float64, channels: Channels, remarks: Remarks) -> Sample:
+        """Label a sample by the rules of the recorder; without a label, a flag or a remark says why."""
+        name, series = sample.id or sample.object, sample.series
+        assert series is not None  # noqa: S101  it has readings at rest
+        try:
+            label = label_series(series.stamps_ns, rows, self.rest, channels, complete=whole)
+        except PairingError as err:
+            remarks.setdefault(err.reason, []).append(f"{name}: {err}, so no touch")
+            return replace(sample, flags=(*sample.flags, err.reason))
+        if label.touch is None:
+            found = "none found" if label.contact_ns is None else "only one of less than 0.3 s at the end"
+            found += f" after {self.rest} readings at rest, so no touch"
+            remarks.setdefault("no_contact", []).append(f"{name}: {found}")
+        for flag, text in label.flags.items():
+            if label.touch is not None or not flag.startswith("no_contact"):
+                remarks.setdefault(flag, []).append(f"{name}: {text}")
+        series.phases[label.hold] = HOLD
         return replace(
             sample,
-            touch=touch,
-            tare=rested if tare is None else tare,
-            series=TouchSeries(stamps, rows.astype(np.float32), phases, others),
-            contact_ns=contact_ns,
-            detector="" if contact_ns is None else "contact_detector",
-            flags=(*flags, *stamp_faults(stamps, sensor.config.update_rate)),
+            touch=label.touch,
+            tare=label.tare if sample.tare is None else sample.tare,
+            contact_ns=label.contact_ns,
+            detector=label.detector,
+            flags=(*sample.flags, *label.flags),
         )
 
     def _others(self, count: int, missing: Missing) -> tuple[dict[str, AnyArray], int]:
         """Return the further numbers of `count` readings as float32 by name, and how many of them are missing."""
-        further = {key: np.asarray(other, np.float64).reshape(-1) for key, other in (self.others or {}).items()}
+        further = {
+            name_of(key, "others"): numbers(other, f"others: {key}", DatasetError).reshape(-1)
+            for key, other in (self.others or {}).items()
+        }
         for key, column in further.items():
             if len(column) != count:
                 raise DatasetError(f"others: {key}: {len(column)} numbers are not {count} readings")
@@ -168,76 +194,12 @@ class GraspArrays:
         if len(given) != 1 and (given or count > 1):
             raise DatasetError(f"{', '.join(ways)}: give one of them, not {' and '.join(given) or 'none'}")
         if not given or self.rate_hz is not None:
-            if self.rate_hz is not None and not (np.isfinite(self.rate_hz) and self.rate_hz > 0.0):
+            if self.rate_hz is not None and self.rate_hz <= 0.0:
                 raise DatasetError(f"rate_hz: {self.rate_hz} is not above 0")
             step = SECOND_NS / (self.rate_hz or 1.0)
             return np.asarray(start + np.rint(np.arange(count) * step).astype(np.int64))
         (name,) = given
-        times = np.atleast_1d(np.asarray(ways[name]))
-        if times.dtype.kind == "M":
-            name, times = "stamps_ns", times.astype("datetime64[ns]").astype(np.int64)
-        if times.shape != (count,):
-            raise DatasetError(f"{name}: shape {times.shape} is not ({count},), one of each reading")
-        stamps = _nanoseconds(name, times, sensor_hz)
-        if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
-            by = (stamps[back[0]] - stamps[back[0] + 1]) / SECOND_NS
-            raise DatasetError(f"{name}: go back by {by:g} s at reading {back[0] + 1}")
-        same = np.diff(stamps) == 0
-        changing = (rows[1:] != rows[:-1])[same].any()  # else a reading was stored repeatedly
-        if 2 * np.count_nonzero(same) >= count and changing:
-            fault = stamp_faults(stamps, sensor_hz)["equal_stamps"]
-            cure = f"write them with all digits, such as %.9f, or give rate_hz={sensor_hz:g}"
-            raise DatasetError(f"{name}: {fault}: were they rounded, to whole seconds or six digits? {cure}")
-        return np.asarray(start + stamps, np.int64)
-
-
-def _nanoseconds(name: str, times: AnyArray, sensor_hz: float) -> Int64:
-    """Return (T,) stamps in seconds or nanoseconds, by their name, as int64 [ns]; a `DatasetError` if a type holds too few digits."""
-    if times.dtype.kind not in "iuf" or not np.isfinite(times).all():
-        raise DatasetError(f"{name}: are not finite numbers")
-    unit = 1 if name == "stamps_ns" else SECOND_NS
-    largest = float(np.abs(times).max())
-    if largest * unit > 2.0**62:
-        raise DatasetError(f"{name}: {largest:g} is no time in {name[-2:].strip('_')}")
-    if times.dtype.kind != "f":
-        return times.astype(np.int64) * unit
-    grain = float(np.spacing(times.dtype.type(largest))) * unit / SECOND_NS
-    if grain > 0.5 / sensor_hz:
-        single = times.dtype.itemsize < 8
-        cure = "read them as float64, or as whole nanoseconds" if single else "give whole nanoseconds"
-        raise DatasetError(f"{name}: {times.dtype} holds {largest:g} in steps of {grain:g} s: {cure}")
-    return np.rint(times.astype(np.float64) * unit).astype(np.int64)
-
-
-def stamp_faults(stamps_ns: Int64, rate_hz: float) -> dict[str, str]:
-    """Hold the stamps of a series against the rate of its sensor.
-
-    Args:
-        stamps_ns: (T,) int64 ascending stamps [ns].
-        rate_hz: Readings per second, by the description of the sensor.
-
-    Returns:
-        What is wrong, in words with numbers, by flag: `equal_stamps`, `stamp_gaps`, `other_rate`.
-    """
-    steps = np.diff(stamps_ns)
-    later = steps[steps > 0]
-    faults = {}
-    if len(later) < len(steps):
-        runs = np.diff(np.flatnonzero(np.concatenate([[True], steps > 0, [True]])))
-        faults["equal_stamps"] = (
-            f"{runs.max()} readings have the same stamp, and {len(stamps_ns)} only {len(runs)} different"
-        )
-    if not len(later):
-        return faults
-    usual = float(np.median(later))
-    gaps = later[later > _GAP * max(usual, SECOND_NS / rate_hz)]
-    if len(gaps):
-        faults["stamp_gaps"] = f"{len(gaps)} gaps, the longest of {gaps.max() / SECOND_NS:.3g} s"
-    seen = SECOND_NS / usual
-    if len(later) > 1 and not rate_hz / _FACTOR <= seen <= rate_hz * _FACTOR:
-        unit = ": another unit?" if not 1e-2 < seen / rate_hz < 1e2 else ""
-        faults["other_rate"] = f"stamps of {seen:.3g} Hz, and the sensor is described with {rate_hz:g} Hz{unit}"
-    return faults
+        return np.asarray(start + read_stamps(name, ways[name], rows, sensor_hz), np.int64)
 
 
 def _joined(values: Mapping[str, npt.ArrayLike], channels: Channels, what: str) -> Float64:
@@ -251,10 +213,7 @@ def _joined(values: Mapping[str, npt.ArrayLike], channels: Channels, what: str) 
         raise DatasetError(f"{what}: {', '.join(absent)} of {channels.sensor} are missing")
     parts: list[Float64] = []
     for key in channels.modalities:
-        try:
-            part = np.asarray(values[key], np.float64)
-        except (TypeError, ValueError) as err:
-            raise DatasetError(f"{what}: {key}: {' '.join(str(err).split())}") from err
+        part = numbers(values[key], f"{what}: {key}", DatasetError)
         size = channels.channel_of[key].size
         series = part.ndim > 1 or (size == 1 and part.ndim == 1 and part.size > 1)
         shape = (len(part), size) if series else (size,)
@@ -321,34 +280,11 @@ def _range_flags(rows: Float64, channels: Channels) -> list[str]:
 
 
 def _outcome(outcome: Any) -> Outcome:
-    plain = outcome.item() if isinstance(outcome, np.generic) else outcome
+    """Return an outcome by its name or truth value; a missing one is not known."""
     known = {**_OUTCOMES, **{name: name for name in _OUTCOMES.values()}}
-    if plain not in known:
+    if is_missing(outcome):
+        return "unknown"
+    plain = outcome.item() if isinstance(outcome, np.generic) else outcome
+    if not isinstance(plain, str | int | float) or plain not in known:
         raise DatasetError(f"outcome: {none_of(plain, _OUTCOMES.values())}; they are also True, False and None")
     return known[plain]
-
-
-def _cut(
-    stamps: Int64, values: Float64, whole: Float64, rest: int, channels: Channels
-) -> tuple[Touch | None, Touch | None, AnyArray, int | None]:
-    """Cut touch and tare out of (T, D) readings, the phase of each, and the first contact [ns]; what is not there is None.
-
-    Contact is found in the readings without gaps, `whole`.
-    """
-    phases, resting = np.full(len(stamps), APPROACH, np.uint8), whole[:rest]
-    phases[: len(resting)] = REST
-    if not len(resting):
-        return None, None, phases, None
-    tare = rest_of(np.median(resting, axis=0), channels)
-    onsets = [onset for onset in find_contact(stamps, whole, resting, channels) if onset is not None]
-    if not onsets:
-        return None, tare, phases, None
-    touching = (contact_scores(whole, resting, channels) >= RELEASE_LEVEL).any(axis=1)
-    held = touching & (stamps >= min(onsets) + SETTLE_NS) & (phases != REST)
-    phases[held] = HOLD
-    if not held.any():
-        return None, tare, phases, min(onsets)
-    read = np.isfinite(values[held]).any(axis=0)
-    touch = np.full(channels.size, np.nan)
-    touch[read] = np.nanmedian(values[held][:, read], axis=0)
-    return Touch(touch, channels), tare, phases, min(onsets)

@@ -72,7 +72,7 @@ def import_samples(
         source: What is imported.
         out: The dataset, which is created, or extended where it is of the same hand and camera.
         identity: Hand and camera, instead of what the source states.
-        topics: Of a bag without samples of foretouch.
+        topics: Of a bag without samples of foretouch; refused for other sources.
         progress: Called once a sample.
 
     Raises:
@@ -83,6 +83,7 @@ def import_samples(
     result = WriteResult()
     with ExitStack() as stack:
         if is_sample_set(source):
+            _require_none(source, topics)
             samples = open_samples(source)
             stated = samples.identity
             records = samples.with_discarded()
@@ -92,6 +93,7 @@ def import_samples(
             result.notes = tuple(bag.notes)
             holding = [topic.name for topic in bag.topics if topic.type in SAMPLE_TYPES]
             if holding:
+                _require_none(source, topics)
                 stated, records, sensor = _own_samples(bag, holding)
             else:
                 topics = _with_clouds(bag, topics or BagTopics())
@@ -103,6 +105,13 @@ def import_samples(
             raise FileError(source, _not_imported(source))
         write_records(out, records, identity or stated, sensor, result, progress)
     return result
+
+
+def _require_none(source: Path, topics: BagTopics | None) -> None:
+    """Refuse names of topics and fingers for a source that states its own."""
+    if topics is not None:
+        rule = "holds samples: topics, sensor, fingers and object are for bags without (--topic, --sensor, --thumb, --middle, --object)"
+        raise FileError(source, rule)
 
 
 def _not_imported(source: Path) -> str:

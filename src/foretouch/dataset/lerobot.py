@@ -29,6 +29,7 @@ from foretouch.dataset.recording import reader
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.errors import ConfigError, FileError
+from foretouch.files import write_text
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
 from foretouch.types import DISCARDED, SECOND_NS, AnyArray, Cloud, Float32, Index, Int64, Sample
@@ -252,7 +253,7 @@ class _Tables:
             "features": self._features,
         }
         for file, content in ((meta / "stats.json", stats), (self._root / _INFO, info)):
-            file.write_text(json.dumps(content, indent=1), encoding="utf-8")
+            write_text(file, json.dumps(content, indent=1))
 
 
 def _value_names(sensor: Sensor) -> list[str]:

@@ -10,7 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.cloud.io.files import archived_cloud, read_arrays
+from foretouch.cloud.io.arrays import read_arrays
+from foretouch.cloud.io.files import archived_cloud
 from foretouch.cloud.messages import cloud_fields, header_fields
 from foretouch.dataset.identity import Identity, check_id
 from foretouch.dataset.recording.sample_codec import StoredSample, sample_fields, stored_sample

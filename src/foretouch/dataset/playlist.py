@@ -31,8 +31,8 @@ class Entry:
 def entries(source: Source, topics: Collection[str] = ()) -> Iterator[Entry]:
     """Iterate over the messages of a source in order, for a recording its clouds and these topics.
 
-    Clouds of a recording are yielded as they were recorded, even where their sizes do not add up: the subscribers must
-    refuse these. A message that is not valid CDR, or a file that cannot be read, is a `refusal`. Raises a `FileError`
+    Clouds and images of a recording are yielded as they were recorded, even where their sizes do not add up: the subscribers
+    must refuse these. Only images that others would read otherwise (`Source.converted`) become clouds. A message that is not valid CDR, or a file that cannot be read, is a `refusal`. Raises a `FileError`
     where a recording is cut off.
     """
     if source.kind == "recording":
@@ -105,14 +105,22 @@ class Pace:
 
 
 def _recorded(source: Source, topics: Collection[str]) -> Iterator[Entry]:
-    with Recording(source.path) as recording:
+    played = {source.topic, *topics}
+    with Recording(source.path, source.camera) as recording:
         stamped = {topic.name: topic.stamped for topic in recording.topics}
-        for message in recording.messages({source.topic, *topics}):
+        info = recording.info_topic(source.topic) if source.converted else ""
+        infos = recording.first_info(source.topic)
+        for message in recording.messages({*played, info}):
             data, refusal = message.data, ""
             try:
-                recording.content(message)
+                content = recording.content(message)
+                if message.topic == info:
+                    infos.add(content, message.bag_time_ns * 1e-9)
+                if source.converted and message.topic == source.topic:
+                    data = serialize_cloud(recording.decode_cloud(message, infos))
             except ForetouchError as err:
                 data, refusal = b"", str(err)
             topic = CLOUDS if message.topic == source.topic else message.topic
             name = f"{source.path}: {message.topic}[{message.index}]"
-            yield Entry(name, topic, message.bag_time_ns, data, stamped[message.topic], refusal)
+            if message.topic in played:
+                yield Entry(name, topic, message.bag_time_ns, data, stamped[message.topic], refusal)

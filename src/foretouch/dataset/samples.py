@@ -17,12 +17,14 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
 from foretouch.types import DISCARDED, AnyArray, Bool, Grasps, Index, Sample
+from foretouch.types.summary import Summarised, briefly, counted, names_of
+from foretouch.types.tables import LabelledTable, Tabular, Variable, labels_of
 
 _SHOWN: Final = 64  # readings of a grasp by which dead taxels are found
 
 
-@dataclass(frozen=True, eq=False)
-class SampleSet:
+@dataclass(frozen=True, eq=False, repr=False)
+class SampleSet(Summarised, Tabular):
     """The samples of a dataset in order, read on demand and as often as needed, as they were when it was opened.
 
     Threads and forked processes may read one set. A pickled one opens its files again where it is unpickled, which are found by
@@ -40,6 +42,17 @@ class SampleSet:
     message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict  # reads them by topic, in plain types
     edits: tuple[str, ...] = ()  # descriptions of later changes
     sensor: Sensor = BIOTAC_SP  # that was read
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        return counted(self.size, "sample"), {
+            "path": shown(self.path, 80),
+            "format": self.kind,
+            "sensor": briefly(self.sensor),
+            "hand": names_of([f"{key} {value}" for key, value in self.identity.hand.items()]),
+            "camera": names_of([f"{key} {value}" for key, value in self.identity.camera.items()]),
+            "cut off": names_of([path.name for path in self.unfinished]),
+            "changed": names_of(self.edits),
+        }
 
     def __len__(self) -> int:
         return self.size
@@ -86,6 +99,26 @@ class SampleSet:
             "tare": tare,
             **{channel.name: channels.part(touch, channel.name) for channel in channels.channels},
         }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON: the sensor, and `samples`, each as `Sample.to_dict`."""
+        channels = self.sensor.channels
+        sensor = {"sensor": channels.sensor, "sensor_sha256": channels.sha256}
+        return {**sensor, "samples": [sample.to_dict() for sample in self]}
+
+    def _table(self) -> LabelledTable:
+        columns, channels = self.to_arrays(), self.sensor.channels
+        kinds = {channel.name: channel.unit for channel in channels.channels}
+        variables = {name: Variable(("sample",), columns[name]) for name in ("id", "object", "stamp_ns")}
+        variables |= {name: Variable(("sample", "axis"), columns[name], "m") for name in ("g1", "g2")}
+        variables["rotation"] = Variable(("sample", "axis", "hand_axis"), columns["rotation"])
+        for ending, values in (("", columns["touch"]), ("_tare", columns["tare"])):
+            for name, unit in kinds.items() if np.isfinite(values).any() else ():
+                part = channels.part(values, name)
+                variables[name + ending] = Variable(("sample", "finger", "taxel")[: part.ndim], part, unit)
+        return LabelledTable(
+            variables, labels_of(channels), {"sensor": channels.sensor, "sensor_sha256": channels.sha256}
+        )
 
     def split(self, kind: str = "object", seed: int = 0) -> list[tuple["SampleSet", "SampleSet"]]:
         """Split the labelled samples into parts to train and to test on; requires `foretouch[lab]`.

@@ -12,8 +12,9 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
-from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, PAIRING, DepthCamera, Pairs
+from foretouch.cloud.io.depth_files import PAIRING, DepthCamera, Pairs
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
+from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
 from foretouch.dataset.formats import is_sample_set, open_samples, readable_formats
 from foretouch.errors import FileError
@@ -57,9 +58,13 @@ class Source:
     entries: Callable[[], Iterable[tuple[str, Callable[[], Cloud | Sample]]]]  # name of each, and what reads it
     frame_id: str = ""  # for clouds without a frame
     topic: str = ""  # of the clouds or depth images of a recording
-    info_topic: str = ""  # of the camera infos of depth images; "" for clouds
+    info_topic: str = ""  # of the camera infos of depth images that are played as they are; "" for clouds
+    converted: bool = (
+        False  # whether the depth images of a recording become clouds, since nodes would read them otherwise
+    )
     others: tuple[Topic, ...] = ()  # further topics of a recording
     masks: Mapping[str, Path] = field(default_factory=dict)  # of depth images of a folder, by name of the entry
+    camera: DepthCamera = DepthCamera()  # what is known besides of the depth images of a recording
     notes: tuple[str, ...] = ()  # what its `metadata.yaml` states otherwise than its files, and images left out
 
     def __len__(self) -> int:
@@ -92,39 +97,42 @@ def open_source(
         topic: The topic of a recording that holds several topics of clouds; for a recorded dataset, the topic to read
             instead of its samples.
         frame_id: For clouds without a frame.
-        camera: Of depth images; goes before that in their folder.
+        camera: Of depth images; goes before what their folder or recording states.
 
     Returns:
         A `Source`. Files are in natural order (`2.pcd` before `10.pcd`) and stamped by their index; the clouds of a
         recording keep frame and stamp.
 
     Raises:
-        FileError: If the path does not exist or its format is unknown, or a topic is given for files.
+        FileError: If the path does not exist or its format is unknown, a topic is given for files, or `camera` states what
+            the source has no use for.
     """
-    path = require_existing(path)
+    path, camera = require_existing(path), camera or DepthCamera()
     if topic is None and is_sample_set(path):
+        camera.require_none(path, "is a dataset, whose clouds are stored")
         samples = open_samples(path)
         numbers = sorted(range(len(samples)), key=lambda k: _natural(samples.name(k)))
         named = [(samples.name(k), partial(samples.read, k)) for k in numbers]
         return Source(path, "samples", len(named), partial(list, named), frame_id)
     if is_recording(path):
-        return _recording(path, topic, frame_id)
-    if topic is not None:
-        raise FileError(path, f"is not a recording, so it has no topic {topic}")
-    return _clouds(path, frame_id, camera or DepthCamera())
+        return _recording(path, topic, frame_id, camera)
+    for name in filter(None, (topic, camera.info_topic)):
+        raise FileError(path, f"is not a recording, so it has no topic {name}")
+    return _clouds(path, frame_id, camera)
 
 
-def _recording(path: Path, topic: str | None, frame_id: str) -> Source:
+def _recording(path: Path, topic: str | None, frame_id: str, camera: DepthCamera) -> Source:
     """Return the clouds of a recording as a source."""
-    with Recording(path) as recording:
+    with Recording(path, camera) as recording:
         name = recording.cloud_topic(topic)
         topics = {recorded.name: recorded for recorded in recording.topics}
         count = topics.pop(name).count
-        info = recording.info_topic(name)
+        info, converted = recording.info_topic(name), recording.is_converted(name)
         notes = recording.notes
     others = tuple(topics.values())
-    entries = partial(_recorded, path, name)
-    return Source(path, "recording", count, entries, frame_id, name, info, others, notes=notes)
+    entries = partial(_recorded, path, name, camera)
+    source = Source(path, "recording", count, entries, frame_id, name, others=others, notes=notes)
+    return replace(source, info_topic="" if converted else info, converted=converted, camera=camera)
 
 
 def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
@@ -155,8 +163,8 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     return Source(path, "clouds", len(clouds), partial(list, clouds), frame_id, masks=masks, notes=notes)
 
 
-def _recorded(path: Path, topic: str) -> Iterator[tuple[str, Callable[[], Cloud]]]:
-    with Recording(path) as recording:
+def _recorded(path: Path, topic: str, camera: DepthCamera) -> Iterator[tuple[str, Callable[[], Cloud]]]:
+    with Recording(path, camera) as recording:
         for message, decode in recording.clouds(topic):
             yield f"{path}[{message.index}]", decode
 

@@ -23,7 +23,7 @@ from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.identity import Identity, check_id
 from foretouch.dataset.samples import ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, FileError, GraspError
-from foretouch.files import read_bytes
+from foretouch.files import read_bytes, write_text
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.tactile import BIOTAC, ELECTRODES, biotac_touch
 from foretouch.tactile.description import require_same
@@ -171,8 +171,8 @@ def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callab
         folder = next(path for k in seconds if not (path := out / sample.object / str(k)).exists())
         folder.mkdir(parents=True)
         write_cloud(folder / CLOUD_FILE, sample.cloud)
-        (folder / GRASP_FILE).write_text(_as_text([*sample.grasp.g1, *sample.grasp.g2]), encoding="ascii")
-        (folder / TOUCH_FILE).write_text("," + _as_text(_fingers(sample, sample.touch)), encoding="ascii")
+        write_text(folder / GRASP_FILE, _as_text([*sample.grasp.g1, *sample.grasp.g2]))
+        write_text(folder / TOUCH_FILE, "," + _as_text(_fingers(sample, sample.touch)))
         result.samples += 1
         result.lost["tare"] += sample.tare is not None
         result.lost["series"] += sample.series is not None

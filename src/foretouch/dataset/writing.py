@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.dataset.files import new_folder
-from foretouch.dataset.grasp_arrays import GraspArrays, Missing, Remarks, stamp_faults
-from foretouch.dataset.identity import Identity
+from foretouch.dataset.grasp_arrays import GraspArrays, Missing, Remarks
+from foretouch.dataset.identity import Identity, name_of
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
+from foretouch.dataset.stamps import stamp_faults
 from foretouch.errors import DatasetError, ForetouchError, shown
 from foretouch.grasp import closing_faults
 from foretouch.tactile.description import Sensor, load_sensor
@@ -81,7 +82,8 @@ def write(
         own = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
         facts = Identity()
     identity = Identity(
-        hand=hand or facts.hand or {"name": own.config.name}, camera=camera or facts.camera or {"name": "none"}
+        hand=_named("hand", hand) or facts.hand or {"name": own.config.name},
+        camera=_named("camera", camera) or facts.camera or {"name": "none"},
     )
     result, remarks = WriteResult(), Remarks()
     records: Iterator[Sample | Mapping[str, Any]] = iter(samples)
@@ -94,6 +96,11 @@ def write(
     for line in result.notes:
         warnings.warn(line, stacklevel=2)
     return result
+
+
+def _named(what: str, facts: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return the properties of a hand or a camera as texts."""
+    return {name_of(key, what): name_of(value, f"{what}.{shown(key)}") for key, value in (facts or {}).items()}
 
 
 def _made_of(
@@ -115,7 +122,10 @@ def _sample_of(number: int, record: object, sensor: Sensor, missing: Missing, re
     try:
         return GraspArrays(**record).sample(sensor, missing, remarks)
     except (TypeError, ValueError, AttributeError, ForetouchError) as err:  # of keys and values of other types
-        name = f"{record.get('object')}/{record.get('id') or number}"[:100]
+        given = record.get("id", "")
+        name = (
+            f"{shown(record.get('object'), 50)}/{number if isinstance(given, str) and not given else shown(given, 50)}"
+        )
         fault = str(err).removeprefix("GraspArrays.__init__() ")
         raise DatasetError(f"sample {number} ({name}): {fault}") from err
 

@@ -12,8 +12,11 @@ from foretouch.cloud.geometry.pcl_filters import Voxels, cell_means, mean_neighb
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.frame import object_frame, weigh_points
+from foretouch.grasp.pose import hand_rotation
 from foretouch.grasp.preprocessing import finite_points
-from foretouch.types import Cloud, Float32, Float64, Plane
+from foretouch.types import Cloud, Float32, Float64, Grasps, Plane
+from foretouch.types.grasps import contact_faults
+from foretouch.types.rotations import are_absent
 
 _TOP_VIEW = 0.9  # |n_z| of the table above which the camera looks down on it
 
@@ -51,6 +54,29 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
         return direction, centroid
     axis = find_axis(finite_points(cloud).downsampled(config).without_outliers(config), plane, config)
     return axis.direction, axis.centroid
+
+
+def with_rotations(grasps: Grasps, cloud: Cloud, plane: Plane | None, config: GeoGraspConfig) -> Grasps:
+    """Compute the rotations of grasps that have none, as the planner does: Z = g1 - g2, X = Z x the object's axis.
+
+    Args:
+        grasps: K grasps in the cloud's frame; those that have a rotation keep it.
+        cloud: The object's points.
+        plane: The table; without one nothing is computed, since it decides which way the axis points.
+        config: Settings of `object_axis`.
+
+    Raises:
+        CloudError: As `object_axis`, if a rotation is missing.
+    """
+    missing = are_absent(grasps.rotation)
+    if plane is None or not missing.any():
+        return grasps
+    missing &= np.array([not fault for fault in contact_faults(grasps.g1, grasps.g2, grasps.rotation)])
+    axis, _ = object_axis(cloud, plane, config)
+    rotation = grasps.rotation.copy()
+    for k in np.flatnonzero(missing).tolist():
+        rotation[k] = hand_rotation(grasps.g1[k], grasps.g2[k], axis)
+    return grasps.replace(rotation=rotation)
 
 
 def find_axis(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> ObjectAxis:

@@ -39,12 +39,13 @@ from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
 from foretouch.types import NO_GRASPS, Cloud, Float32, Float64, Grasp, Grasps, Integer, Plane
 from foretouch.types.scene import Obstacles
+from foretouch.types.summary import Summarised
 
 PlanStatus = Literal["ok", "initial_points", "no_grasp", "unknown_frame"]
 
 
-@dataclass(eq=False)
-class GraspPlan:
+@dataclass(eq=False, repr=False)
+class GraspPlan(Summarised):
     """The grasps of one object, with the intermediate results of GeoGrasp, None where planning failed before.
 
     With the status "initial_points", of method "original" alone, no pair of candidates passes, and the only grasp is that

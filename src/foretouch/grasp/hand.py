@@ -6,6 +6,7 @@ to the line, and y is z × x. What changes with the width of the grasp is given 
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from importlib import resources
@@ -14,8 +15,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from foretouch.config import Settings, load_yaml, setting
-from foretouch.errors import ConfigError, nearest, shown
+from foretouch.config import Settings, description_file, load_description, require_units, setting
+from foretouch.errors import ConfigError, shown
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Floating, Int32
@@ -59,6 +60,7 @@ class BoxConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         _require_three(self, "xyz", "rpy", "size")
+        require_units(self, angles=["rpy"], lengths=["xyz"])
 
     @property
     def corners(self) -> Float64:
@@ -85,6 +87,7 @@ class WidthConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         _require_three(self, "xyz", "rpy")
+        require_units(self, angles=["rpy", "angles"], lengths=["xyz"])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +97,10 @@ class JointConfig(Settings):
     name: str = setting("", "Name of the joint")
     lower: float = setting(-3.2, "Smallest angle", unit="rad")
     upper: float = setting(3.2, "Largest angle", unit="rad")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_units(self, angles=["lower", "upper"])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -377,22 +384,18 @@ def load_hand(hand: str | Path) -> Hand:
     Raises:
         ConfigError: If there is none, or it breaks a rule; names file, field and rule.
     """
-    path, known = Path(hand), hand_files()
-    if not path.is_file():
-        if str(hand) not in known:
-            raise ConfigError(
-                f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(str(hand), known)}"
-            )
-        path = known[str(hand)]
-    return _read_hand(path, path.stat().st_mtime_ns)
+    path, changed_ns = description_file(hand, hand_files()), 0
+    with suppress(OSError, ValueError):  # which reading reports
+        changed_ns = path.stat().st_mtime_ns
+    return _read_hand(path, changed_ns)
 
 
 @lru_cache(maxsize=16)
 def _read_hand(path: Path, _changed_ns: int) -> Hand:
     """Read the file of a description."""
-    stated = load_yaml(path)
+    config = load_description(path, HandDescription, "a hand")
     try:
-        return Hand(HandDescription.from_mapping(stated))
+        return Hand(config)
     except ConfigError as err:
         raise ConfigError(f"{shown(path)}: {err}") from err
 

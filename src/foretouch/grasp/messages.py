@@ -8,16 +8,19 @@ from typing import Any, Final, get_args
 import numpy as np
 
 from foretouch.errors import GraspError, TactileError
-from foretouch.grasp.pose import check_rotation, quaternion_xyzw
 from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Grasps, Predictions, Reference, WayIn
 from foretouch.types.arrays import objects
 from foretouch.types.channels import LARGEST, Channel, Channels
 from foretouch.types.grasps import TILTS
+from foretouch.types.rotations import check_rotation, quaternion_xyzw
 
 _MAX_UNIT: Final = 2.0  # no component of a rotation is larger; the square of such a number may overflow
 _UNIT_TOLERANCE: Final = 1e-3  # of a quaternion's length; planners work with float32
 _AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per element
-
+_NO_TURN: Final = (
+    [0.0, 0.0, 0.0, 0.0],
+    [0.0, 0.0, 0.0, 1.0],
+)  # quaternions that give no orientation, the second of a new message
 
 STATUSES: Final = {
     0: "ok",
@@ -31,6 +34,7 @@ STATUSES: Final = {
     14: "no_plane",
     15: "no_object",
     16: "no_target",
+    17: "doubtful_plane",
     20: "no_grasp",
     21: "bad_grasp",
     22: "bad_plane",
@@ -73,8 +77,8 @@ def _point(position: Any) -> SimpleNamespace:
 
 
 def has_orientation(message: Any) -> bool:
-    """Return whether a `foretouch_msgs/Grasp` holds a rotation, as a matrix or as a quaternion."""
-    return bool(np.any(_quaternion(message)) or np.any(message.rotation))
+    """Return whether a `foretouch_msgs/Grasp` holds a rotation: a matrix, or a quaternion other than that of a new message, w = 1."""
+    return bool(np.any(message.rotation) or _quaternion(message).tolist() not in _NO_TURN)
 
 
 def decode_grasp(message: Any, rotation: Float64 | None = None) -> Grasp:

@@ -2,18 +2,16 @@
 """Rotations of the hand and its fingertips at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from foretouch.errors import GraspError
 from foretouch.tactile.layout import Layout
-from foretouch.types import SQUARABLE, Bool, Float64, Grasp, Grasps
+from foretouch.types import SQUARABLE, Float64, Grasp, Grasps
+from foretouch.types.rotations import fault_texts
 
 _PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
-_IDENTITY = np.eye(3)
 _LEAST_M = 1e-12  # from the midpoint to a contact; shorter vectors have no certain direction
-_SKEWED = 1e-3  # largest deviation of a rotation times its transpose from the identity
 _TILTED_DEG = 30.0  # fingers of a hand that is tilted further against the line of its contacts do not close on both
 
 
@@ -54,63 +52,6 @@ def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
     return np.array([x, y / _norm(y), z]).T.copy()
 
 
-def quaternion_xyzw(rotation: Float64) -> Float64:
-    """Return the unit quaternion of a rotation, in the order of ROS messages.
-
-    Args:
-        rotation: (3, 3) floating, proper rotation.
-
-    Returns:
-        (4,) float64: x, y, z, w with w >= 0; a half turn has its first non-zero component positive.
-
-    Raises:
-        GraspError: If the matrix is not a proper rotation within 1e-3, or not finite.
-    """
-    r = np.asarray(rotation, np.float64)
-    check_rotation(r)
-    squares = np.array(
-        [
-            1.0 + r[0, 0] - r[1, 1] - r[2, 2],
-            1.0 - r[0, 0] + r[1, 1] - r[2, 2],
-            1.0 - r[0, 0] - r[1, 1] + r[2, 2],
-            1.0 + r[0, 0] + r[1, 1] + r[2, 2],
-        ]
-    )  # 4x², 4y², 4z², 4w²
-    # The row of 4qqᵀ with the largest diagonal loses the fewest digits (Shepperd 1978).
-    xy, xz, yz = r[1, 0] + r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2]
-    xw, yw, zw = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    rows = np.array(
-        [[squares[0], xy, xz, xw], [xy, squares[1], yz, yw], [xz, yz, squares[2], zw], [xw, yw, zw, squares[3]]]
-    )
-    q = rows[np.argmax(squares)]
-    q = q / np.linalg.norm(q)
-    leading = q[3] if abs(q[3]) > 1e-12 else q[np.flatnonzero(np.abs(q) > 1e-12)[0]]
-    return np.asarray(-q if leading < 0 else q, np.float64)
-
-
-def check_rotation(rotation: Float64) -> None:
-    """Check that a matrix is a proper rotation within 1e-3.
-
-    Raises:
-        GraspError: If it is not (3, 3), not finite, skewed, scaled or left-handed.
-    """
-    if rotation.shape != (3, 3):
-        raise GraspError(f"rotation: {rotation.tolist()} is not a rotation matrix")
-    require_none(rotation_faults(rotation[None]))
-
-
-def rotation_faults(rotations: Float64) -> list[str]:
-    """Say which of (K, 3, 3) matrices are no proper rotations within 1e-3, of each; "" for those that are."""
-    with np.errstate(all="ignore"):  # what overflows or is not finite is no rotation
-        skewed = np.abs(rotations @ rotations.transpose(0, 2, 1) - _IDENTITY).max(axis=(1, 2))
-        x, y, z = rotations[:, :, 0].T, rotations[:, :, 1].T, rotations[:, :, 2].T
-        handed = (
-            x[0] * (y[1] * z[2] - y[2] * z[1]) + x[1] * (y[2] * z[0] - y[0] * z[2]) + x[2] * (y[0] * z[1] - y[1] * z[0])
-        )
-        proper = (skewed <= _SKEWED) & (handed > 0.0)
-    return _texts(proper, lambda k: f"rotation: {rotations[k].tolist()} is not a rotation matrix")
-
-
 def closing_faults(grasps: Grasps) -> list[str]:
     """Say which fingers of K grasps do not close along the line of the contacts, with the hand's Z within 30 degrees of g1 - g2.
 
@@ -126,7 +67,7 @@ def closing_faults(grasps: Grasps) -> list[str]:
     def text(k: int) -> str:
         return f"pose: its Z is {angles[k]:.0f} {rule}; {_closing_cure(along[k], grasps.rotation[k])}"
 
-    return _texts(angles <= _TILTED_DEG, text)
+    return fault_texts(angles <= _TILTED_DEG, text)
 
 
 def _closing_cure(along: Float64, rotation: Float64) -> str:
@@ -148,19 +89,6 @@ def joined_faults(*parts: list[str]) -> list[str]:
     """Return the first fault of each of K grasps in several lists of K; "" without a fault."""
     faulty = [part for part in parts if any(part)]
     return [next(filter(None, row), "") for row in zip(*faulty, strict=True)] if faulty else parts[0]
-
-
-def require_none(faults: list[str]) -> None:
-    """Raise a `GraspError` with the first fault, if there is one."""
-    if first := next(filter(None, faults), ""):
-        raise GraspError(first)
-
-
-def _texts(fine: Bool, text: Callable[[int], str]) -> list[str]:
-    """Return the text of each row that is not fine, "" for the others."""
-    if fine.all():
-        return [""] * len(fine)
-    return ["" if is_fine else text(k) for k, is_fine in enumerate(fine.tolist())]
 
 
 def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:

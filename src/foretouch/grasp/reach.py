@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.grasp.pose import require_none
 from foretouch.types import Bool, Float64, Floating, Grasp, Grasps, Index
+from foretouch.types.rotations import require_none
 
 _SAMPLED = 256  # points tried first: one within reach is sufficient
 _TOGETHER = 16  # of them at a time, for many grasps

@@ -48,9 +48,13 @@ _TRAINED: Final[_Fields] = {
 }
 
 
+OWN: Final = "own"
+"""Kind of a model whose predictor is code of the user."""
+
 KINDS: Final[Mapping[str, _Fields]] = {
     "network": {**_TRAINED, "familiar": (dict, type(None))},
     "contact": {**_TRAINED, "ranges": dict},
+    OWN: {**_TRAINED, "predictor": str},
     "hold": _TRAINED,
 }
 """Fields that the cards of each kind hold besides `_COMMON`, with their types."""

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find a model by name, path or model folder, and load it; torch is imported when the first network is loaded."""
 
+from collections.abc import Callable, Mapping
+from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from foretouch.errors import FileError, ModelError, nearest, shown
 from foretouch.files import read_json
-from foretouch.models.card import CARD_FORMAT, read_card
+from foretouch.models.card import CARD_FORMAT, OWN, read_card
 from foretouch.models.touch_model import TouchModel
 
 DEFAULT_MODEL: Final = "contact-v3"
@@ -20,21 +22,30 @@ def available_models() -> list[str]:
     return sorted((path.stem for path in _released().glob("*.json")), key=lambda name: (name != DEFAULT_MODEL, name))
 
 
-def load_model(name_or_path: str | Path = "default") -> TouchModel:
+def load_model(name_or_path: str | Path = "default", predictor: Any = None) -> TouchModel:
     """Load a model that comes with the package, or one from a file or a model folder.
 
     Args:
         name_or_path: `default`, a name from `available_models`, the path of a card or of its weights, or the folder of
             a finished run of `foretouch train`.
+        predictor: Of a model of your own (`foretouch.calibrate`), the predictor, a class or function that makes it, or
+            the name of either: `module:attribute`, or an entry point of the group `foretouch.models`.
 
     Raises:
-        ModelError: If there is no such model, or it is damaged, or does not predict each modality.
+        ModelError: If there is no such model, or it is damaged, or does not predict each modality; if a model of your own
+            is loaded without its predictor, or another model with one.
     """
     path = find_card(name_or_path)
     card = read_card(path)
     if card["kind"] == "hold":
         raise ModelError(f"{shown(path)}: kind: predicts whether a grasp holds, and no touch")
-    if card["kind"] == "network":
+    if card["kind"] == OWN:
+        from foretouch.models.own import load_model as load_own
+
+        load: Callable[[Path, Mapping[str, Any]], TouchModel] = partial(load_own, predictor=predictor)
+    elif predictor is not None:
+        raise ModelError(f"{shown(path)}: kind: {card['kind']} has a predictor already; leave predictor out")
+    elif card["kind"] == "network":
         from foretouch.models.network.checkpoint import load_model as load
     else:
         from foretouch.models.contact.estimator import load_model as load

@@ -3,7 +3,7 @@
 
 One cloud and K grasps come in, K predictions go out, each with an interval, a reference and flags.
 
-cloud, K grasps ─ estimator ─► counts ─ tracker of earlier readings ─► value ± half width, flags
+cloud, K grasps ─ predictor ─► counts ─ tracker of earlier readings ─► value ± half width, flags
 
 Earlier readings are a tare, touches of the same object, or the history of a hand with many objects. All of them go
 through the tracker of the sensors' state (`models.tracker`), with the parameters of the model's calibration.
@@ -11,6 +11,7 @@ through the tracker of the sensors' state (`models.tracker`), with the parameter
 
 import copy
 import time
+import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
@@ -18,24 +19,30 @@ from typing import Any, Final, Self
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
-from foretouch.errors import CloudError, FileError, ModelError, TactileError, shown
+from foretouch.errors import CloudError, FileError, ForetouchError, ModelError, TactileError, described, shown
 from foretouch.files import read_bytes, replace_files, system_errors
-from foretouch.grasp.pose import closing_faults, joined_faults, require_none, rotation_faults
+from foretouch.grasp.axis import with_rotations
+from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.pose import closing_faults, joined_faults
 from foretouch.grasp.reach import DEFAULT_REACH, OFF_OBJECT, ReachConfig, in_the_air, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
-from foretouch.models.card import card_sensor
+from foretouch.models.card import OWN, card_sensor
 from foretouch.models.equal_pressure import flag_equal_pressures
-from foretouch.models.estimator import Estimate, Estimator
 from foretouch.models.files import under
 from foretouch.models.history_file import pack_history, to_bytes, to_text, unpack_history
+from foretouch.models.predictor import Estimate, Predictor
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import touch_faults
+from foretouch.tactile import Ranges, touch_faults, usual_ranges
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import require_same
 from foretouch.types import AnyArray, Cloud, Evidence, Float64, Grasp, Grasps, Plane, Predictions, Reference, Touch
 from foretouch.types.arrays import objects
 from foretouch.types.grasps import contact_faults
+from foretouch.types.rotations import are_absent, fault_texts, require_none, rotation_faults
 from foretouch.types.scene import Object
+from foretouch.types.summary import Summarised, briefly, counted, names_of
+
+_NOT_FINITE: Final = "the model gives a value that is not finite"
 
 SIMILAR_TOUCHES: Final = "similar_touches"
 """Flag of predictions in which took part where on the object its earlier touches were."""
@@ -46,15 +53,18 @@ NO_TABLE: Final = "assumed_table"
 _TRACKER: Final = "tracker/"
 _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tares share would be counted as many
 
+_POSING: Final = GeoGraspConfig()  # by which rotations are computed that are not given
+_NO_ROTATION: Final = "rotation: is not given, and computing it needs the table; pass an object of a scene, or table"
+
 _SAME_OBJECT_M: Final = 0.02
 """How far an object may have moved, or changed in apparent size, since it was touched."""
 
 
-class TouchModel:
+class TouchModel(Summarised):
     """Predicts what both fingertips would read at a grasp. It never changes, so threads may share it.
 
     Args:
-        estimator: Predicts from the cloud and the grasp only.
+        predictor: Predicts from the cloud and the grasp only.
         card: The card of the model.
         calibration: Rest level, adaptation and intervals; None if the card holds no calibration.
 
@@ -63,18 +73,35 @@ class TouchModel:
         sha256: Hash of the weights, from the card.
         sensor: The sensor whose readings are predicted.
         ranges: Ranges outside which a predicted value is flagged.
-        estimator: Predicts from the cloud and the grasp only.
+        predictor: Predicts from the cloud and the grasp only.
     """
 
-    def __init__(self, estimator: Estimator, card: Mapping[str, Any], calibration: Calibration | None = None) -> None:
+    def __init__(self, predictor: Predictor, card: Mapping[str, Any], calibration: Calibration | None = None) -> None:
         self.name: str = card["name"]
         self.sha256: str = card["sha256"]
         self.card = dict(card)
         self.calibration = calibration
         self.sensor = card_sensor(card, self.name)
-        self.ranges = estimator.ranges
-        self.estimator = estimator
+        self.ranges: Ranges = getattr(predictor, "ranges", None) or usual_ranges(self.sensor.channels)
+        self.predictor = predictor
         self.path: Path | None = None  # of its card, where it was loaded
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        data = self.card.get("data", {})
+        objects = data.get("objects")
+        trained = f"{data['samples']} samples" if "samples" in data else ""
+        skills = {
+            split: np.mean([row["skill"] for row in by.values()]) for split, by in self.card.get("skill", {}).items()
+        }
+        return f"{shown(self.name, 40)}, {self.card.get('kind', 'own')}", {
+            "sensor": briefly(self.sensor),
+            "trained on": f"{trained} of {counted(len(objects), 'object')}" if objects else trained,
+            "hand": "simulated" if self.simulated else "",
+            "mean skill": names_of([f"{split} {value:.2f}" for split, value in skills.items()]),
+            "intervals": "none: not calibrated" if self.calibration is None else "90 %, adapted to readings",
+            "sha256": self.sha256[:16],
+            "card": "" if self.path is None else shown(self.path, 80),
+        }
 
     @property
     def simulated(self) -> bool:
@@ -142,7 +169,8 @@ class TouchModel:
         Args:
             cloud: The object's points [m], or an object of a scene, whose flags the predictions get; points without depth
                 are ignored.
-            grasps: In the cloud's frame.
+            grasps: In the cloud's frame. Rotations that are not given, as in `Grasps(g1, g2)`, are computed as the planner
+                does; this needs the table.
             tare: A reading without contact, taken shortly before, of a hand of which nothing else was read.
             history: Readings of the hand so far, which include tares; `tare` must be omitted.
             limits: Range and size of objects.
@@ -177,7 +205,7 @@ class TouchModel:
             same = history.is_current(cloud, _SAME_OBJECT_M)
             history = history.snapshot(history.stamp_ns, same_object=same, tare=history.tared, tdc=history.tdc)
         check_object(cloud.xyz, limits)
-        columns = Grasps.of(grasps)
+        columns = with_rotations(Grasps.of(grasps), cloud, table, _POSING)
         faults = _faults(columns, cloud, reach.max_width_m, reach.max_distance_m)
         usable = np.array([not fault for fault in faults], np.bool_)
         graspable = columns if usable.all() else columns.take(usable)
@@ -196,12 +224,11 @@ class TouchModel:
         self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: "History | None", table: Plane | None
     ) -> Predictions:
         """Return predictions for executable grasps."""
-        estimate = self.estimator.estimate(cloud, grasps, table)
+        estimate = self.estimate(cloud, grasps, table)
         if tare is not None:
             history = History(self)
             history.tare(tare, stamp_ns=0)
             history = history.snapshot(0, same_object=False, tare=True)
-        known = estimate.in_distribution
         if history is not None and history.evidence.readings:
             read = (*history.adapt(estimate), history.reference, history.evidence)
             similar = history.compares_places and estimate.where is not None
@@ -209,8 +236,33 @@ class TouchModel:
             return predictions.flagged(SIMILAR_TOUCHES) if similar else predictions
         half = None
         if self.calibration is not None:
-            half = np.where(known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new")))
+            half = np.where(
+                estimate.known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new"))
+            )
         return self._predictions(grasps, estimate, estimate.counts, half, "none", Evidence())
+
+    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
+        """Predict K grasps from the cloud alone, without readings and intervals.
+
+        Args:
+            cloud: The object's points [m].
+            grasps: In the cloud's frame.
+            table: In the same frame; without one the camera is taken to look straight down on it.
+
+        Raises:
+            CloudError: If the cloud cannot be used.
+            ModelError: If the cloud lacks a colour that the model needs; or of an own predictor that fails, or returns no
+                K x D numbers: names it, the error and the line.
+        """
+        grasps = Grasps.of(grasps)
+        try:
+            return Estimate.of(self.predictor.estimate(cloud, grasps, table), len(grasps), self.sensor.channels.size)
+        except ForetouchError:
+            raise
+        except (Exception, SystemExit) as err:
+            if self.card.get("kind") != OWN:  # an error of foretouch is reported as one
+                raise
+            raise ModelError(f"{self.name}: estimate: {described(err)}{_line_of(err)}") from err
 
     def estimate_executed(
         self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS, table: Plane | None = None
@@ -226,14 +278,17 @@ class TouchModel:
         Raises:
             CloudError: If the cloud cannot be used.
             GraspError: If no hand can execute a grasp.
+            ModelError: If a value is not finite.
         """
         check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range or wider than any hand.
-        columns = Grasps.of(grasps)
+        columns = with_rotations(Grasps.of(grasps), cloud, table, _POSING)
         faults = _faults(columns, cloud, 2.0, limits.max_range_m)
         usable = np.array([not fault for fault in faults], np.bool_)
-        estimate = self.estimator.estimate(cloud, columns.take(usable), table)  # a useless cloud is named first
+        estimate = self.estimate(cloud, columns.take(usable), table)  # a useless cloud is named first
         require_none(faults)
+        if not np.isfinite(estimate.counts).all():
+            raise ModelError(f"{self.name}: {_NOT_FINITE}")
         return estimate
 
     def tare_offset(self, tare: Touch) -> Float64:
@@ -291,7 +346,7 @@ class TouchModel:
         half = np.full(counts.shape, np.nan) if half is None else half
         finite = np.asarray(np.isfinite(counts).all(axis=1), np.bool_)
         outside = self.ranges.outside(counts).any(axis=1) & finite
-        unknown = ~estimate.in_distribution & finite
+        unknown = finite & (False if estimate.familiar is None else ~estimate.familiar)
         marks = {"out_of_range": outside, "unfamiliar": unknown}
         marks |= {flag: rows & unknown for flag, rows in estimate.reasons.items()}
         marked = {flag: rows.tolist() for flag, rows in marks.items() if rows.any()}
@@ -308,9 +363,14 @@ class TouchModel:
         )
         if finite.all():
             return predictions
-        reason = "the model gives a value that is not finite"
-        refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", reason)
+        refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", _NOT_FINITE)
         return predictions.put(~finite, refused)
+
+
+def _line_of(err: BaseException) -> str:
+    """Return where an exception was raised, such as " (mine.py:7)"."""
+    frames = traceback.extract_tb(err.__traceback__)
+    return f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
 
 
 def _cloud_and_table(target: Cloud | Object) -> tuple[Cloud, Plane | None]:
@@ -329,7 +389,7 @@ def place_and_size(cloud: Cloud) -> Float64:
     return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
 
 
-class History:
+class History(Summarised):
     """What the fingertips of one hand have read so far, of whatever object. Use it in one thread at a time.
 
     Readings are compared with the predictions of one model, and the differences are fed to a `SensorTracker`. Another
@@ -364,6 +424,16 @@ class History:
         self.stamp_ns: int | None = None
         self.same_object: bool | None = None
         self.tdc: Float64 | None = None
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        evidence = self.evidence
+        ages = {"touch": evidence.touch_age_s, "reading": evidence.reading_age_s}
+        return f"{counted(evidence.readings, 'reading')}, {self.touches} of the object", {
+            "model": briefly(self.model),
+            "reference": self.reference,
+            "last": names_of([f"{name} {age:.0f} s ago" for name, age in ages.items() if age is not None]),
+            "restarted": names_of([f"{finger} {count}" for finger, count in self.restarts.items()]),
+        }
 
     @property
     def touches(self) -> int:
@@ -428,7 +498,7 @@ class History:
         if estimate is None:
             estimate = self.model.estimate_executed(cloud, [grasp], table=table)
         if not (same and self.touches):
-            self.tracker.start_object(known=bool(estimate.in_distribution[0]))
+            self.tracker.start_object(known=bool(estimate.known[0]))
         where = None if estimate.where is None else estimate.where[0]
         stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
         restarted = self.tracker.add_touch(stamp_ns, values, estimate.counts[0], tdc=tdc, where=where)
@@ -483,7 +553,7 @@ class History:
         """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
         counts, half = np.empty((2, *estimate.counts.shape))
         for known in (False, True):
-            rows = estimate.in_distribution == known
+            rows = estimate.known == known
             if rows.any():
                 level = self.tracker.level(self._time_ns, same_object=self._touched, known=known, tdc=self.tdc)
                 where = None if estimate.where is None else estimate.where[rows]
@@ -628,6 +698,7 @@ def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: fl
     """Return why no hand can execute each grasp; "" where one can."""
     return joined_faults(
         contact_faults(grasps.g1, grasps.g2, grasps.rotation),
+        fault_texts(~are_absent(grasps.rotation), lambda _: _NO_ROTATION),
         rotation_faults(grasps.rotation),
         reach_faults(grasps, cloud.xyz, max_width_m, max_distance_m),
         closing_faults(grasps),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from foretouch.errors import FileError
-from foretouch.files import replace_files
+from foretouch.files import read_bytes, replace_files
 from foretouch.types import Cloud, Float64
 
 if TYPE_CHECKING:
@@ -68,9 +68,10 @@ def save(figure: Figure, path: Path, dpi: int = 120) -> Path:
 def save_small(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG with a palette of 128 colours, less than half as large."""
     from PIL import Image
+    from PIL.PngImagePlugin import PngImageFile
 
     content = io.BytesIO()
-    with Image.open(save(figure, path)) as image:
+    with PngImageFile(io.BytesIO(read_bytes(save(figure, path)))) as image:
         image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(content, "PNG", optimize=True)
     replace_files({path: content.getvalue()})
     return path

@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import ForetouchError, MissingDependencyError
-from foretouch.files import open_own, part_of
+from foretouch.files import open_own, part_of, require_replaceable
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.tactile.channels import BIOTAC_SP, LAYER_M, skin_axes
 from foretouch.tactile.description import Sensor
@@ -78,6 +78,7 @@ def write_view(path: Path, steps: Iterable[ViewStep], title: str, sensor: Sensor
         import rerun
     except ImportError as err:
         raise MissingDependencyError("Rerun is not installed: pip install 'foretouch[view]'") from err
+    require_replaceable(path)
     part = part_of(path)
     os.close(open_own(part, os.O_WRONLY))
     try:

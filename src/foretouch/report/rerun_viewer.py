@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from foretouch.errors import ForetouchError, MissingDependencyError
-from foretouch.files import system_errors
+from foretouch.files import open_own, read_bytes, replace_files
 
 _SCREENSHOT_S: Final = 120.0
 _POLL_S: Final = 0.1
@@ -34,7 +34,7 @@ def save_screenshot(recording: Path, path: Path) -> None:
             free.bind(("127.0.0.1", 0))
             port = int(free.getsockname()[1])
         command = [*_viewer(port), "--headless", "--window-size", "1600x1000", recording]
-        with printed.open("wb") as output:
+        with os.fdopen(open_own(printed, os.O_WRONLY), "wb") as output:
             viewer = subprocess.Popen(command, env=environment, stdout=output, stderr=output)  # noqa: S603  Rerun's own
         try:
             _draw(viewer, port, drawn)
@@ -42,14 +42,13 @@ def save_screenshot(recording: Path, path: Path) -> None:
             viewer.kill()
             viewer.wait()
         if not drawn.is_file():
-            said = printed.read_text(encoding="utf-8", errors="replace")
+            said = read_bytes(printed).decode("utf-8", "replace")
             if any(text in said for text in _NO_GRAPHICS):
                 raise MissingDependencyError(
                     "--screenshot: Rerun finds no graphics driver (Vulkan): apt install libvulkan1 mesa-vulkan-drivers"
                 )
             raise ForetouchError(f"--screenshot: Rerun has drawn nothing within {_SCREENSHOT_S:.0f} s")
-        with system_errors(path):
-            path.write_bytes(drawn.read_bytes())
+        replace_files({path: read_bytes(drawn)})
 
 
 def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:

@@ -12,6 +12,7 @@ from foretouch.tactile.channels import (
     Ranges,
     TactileRanges,
     biotac_touch,
+    usual_ranges,
 )
 from foretouch.tactile.readings import FULL_SCALE, is_tdc, make_tare, tdc_of, to_kohm, touch_faults
 
@@ -32,4 +33,5 @@ __all__ = [
     "tdc_of",
     "to_kohm",
     "touch_faults",
+    "usual_ranges",
 ]

@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Bool, Float64, Touch
+from foretouch.types.arrays import numbers
 from foretouch.types.channels import Channels
 
 BIOTAC_SP: Final = packaged_sensor("biotac_sp")
@@ -47,7 +48,7 @@ _WIDEST: Final = 1e12  # [counts]
 
 def biotac_touch(values: npt.ArrayLike) -> Touch:
     """Return a reading of the BioTac SP from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
-    return Touch(np.array(values, np.float64), BIOTAC)
+    return Touch(numbers(values, "touch", TactileError).copy(), BIOTAC)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +145,12 @@ class TactileRanges(Settings):
 
 
 P2_RANGES: Final = TactileRanges()  # found empirically for the sensors of P2 (section III-C)
+
+
+def usual_ranges(channels: Channels) -> Ranges:
+    """Return the ranges of a sensor's readings: of the BioTac SP those of P2, of another those of its description."""
+    return P2_RANGES.ranges if channels == BIOTAC else Ranges.of_sensor(channels)
+
 
 #: P1's public code divides the labels by these numbers.
 P1_RANGES: Final = TactileRanges(pdc_th=(0.0, 3100.0), pdc_mf=(0.0, 2000.0), e_th=(0.0, 3500.0), e_mf=(0.0, 3800.0))

@@ -19,14 +19,13 @@ is frozen during contact. A contact that lasts longer than `LONGEST_S` is consid
 """
 
 from collections import deque
-from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.tactile.channels import BIOTAC
-from foretouch.types import SECOND_NS, Float64, Int64
+from foretouch.types import SECOND_NS, Bool, Float64, Int64
 from foretouch.types.channels import Channels
 
 _TAXEL_LIMIT: Final = 3.0  # rms of the taxels' changes that counts as contact [deviations]
@@ -34,6 +33,9 @@ _SINGLE_LIMIT: Final = 12.0  # change of a finger's single value, such as PDC [d
 RELEASE_LEVEL: Final = 0.7  # score below which contact ends
 _CONFIRM: Final = 3  # consecutive readings that confirm a change
 WINDOW_S: Final = 0.5  # over which the reference is computed [s]
+SETTLE_NS: Final = 300_000_000
+"""From first to steady contact; a shorter one is a glitch or lost packets [ns]."""
+
 LAG_S: Final = 0.3  # between the reference and now: a slower contact is considered drift [s]
 LONGEST_S: Final = 120.0  # of a contact; longer ones are considered drift [s]
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
@@ -46,6 +48,15 @@ class ContactEvent(NamedTuple):
     finger: str  # such as `TH`
     kind: Literal["onset", "release"]
     stamp_ns: int  # stamp of the first reading that shows it [ns]; it is confirmed a few readings later
+
+
+class SeriesContact(NamedTuple):
+    """The contact of a finger in a series of readings."""
+
+    onset: int | None  # number of its first reading; None without contact
+    end: int  # number of the first reading after it
+    several: bool  # whether there are more, of which it is the longest
+    drifted: bool  # whether the finger drifted out of its rest before, so that its reference had to follow
 
 
 class FingerContact:
@@ -174,25 +185,58 @@ def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channel
 
 
 def find_contact(
-    stamps_ns: Sequence[int] | Int64, counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channels = BIOTAC
-) -> tuple[int | None, ...]:
-    """Find the stamp of the first contact of each finger, None without one, by `contact_scores`.
+    stamps_ns: Int64, counts: npt.ArrayLike, rest: int, channels: Channels = BIOTAC
+) -> tuple[SeriesContact, ...]:
+    """Find the contact of each finger in a series of readings, by `contact_scores`.
+
+    It is looked for after the readings at rest. What is slower than `LAG_S` is drift and no contact, as online, and what ends within
+    `SETTLE_NS` is a glitch, such as lost packets.
 
     Args:
-        stamps_ns: (T,) stamps [ns].
+        stamps_ns: (T,) int64 ascending stamps [ns].
         counts: (T, D) readings.
-        rest: (R, D) readings at rest.
+        rest: How many of them are at rest, at the beginning; at least one.
         channels: What the D values are.
     """
-    onsets: list[int | None] = []
-    for above in (contact_scores(counts, rest, channels) > 1.0).T:
-        run = (
-            np.lib.stride_tricks.sliding_window_view(above, _CONFIRM).all(axis=1)
-            if len(above) >= _CONFIRM
-            else above[:0]
-        )
-        onsets.append(int(stamps_ns[int(run.argmax())]) if run.any() else None)
-    return tuple(onsets)
+    values = np.asarray(counts, np.float64)
+    return tuple(_contact_of(stamps_ns, values[:, own], rest, channels) for own in channels.finger_columns.values())
+
+
+def _contact_of(stamps_ns: Int64, values: Float64, rest: int, channels: Channels) -> SeriesContact:
+    """Find the longest contact of a finger, in its (T, M) values."""
+    lag, window = round(LAG_S * SECOND_NS), round(WINDOW_S * SECOND_NS)
+    noise = _resting_noise(values[:rest], channels)
+
+    def scores(part: Float64, reference: Float64) -> Float64:
+        return _scores((part - reference) / noise, channels)
+
+    score = scores(values, np.median(values[:rest], axis=0))
+    begin, drifted, found = rest, False, list[tuple[int, int]]()
+    while (onset := _first_run(score > 1.0, begin)) < len(values):
+        onset_ns = stamps_ns[onset]
+        first, last, soon = np.searchsorted(stamps_ns, [onset_ns - lag - window, onset_ns - lag, onset_ns + lag])
+        recent, after = values[first:last], values[onset : max(soon, onset + _CONFIRM)]
+        if len(recent) >= _CONFIRM:
+            reference = np.median(recent, axis=0)
+            if _first_run(scores(after, reference) > 1.0, 0) == len(after):
+                score, begin, drifted = scores(values, reference), onset, True
+                continue
+        begin = _first_run(score < RELEASE_LEVEL, onset)
+        if begin == len(values) or stamps_ns[begin] - onset_ns >= SETTLE_NS:
+            found.append((onset, begin))
+    if not found:
+        return SeriesContact(None, 0, several=False, drifted=drifted)
+    onset, end = max(found, key=lambda pair: int(stamps_ns[pair[1] - 1] - stamps_ns[pair[0]]))
+    return SeriesContact(onset, end, several=len(found) > 1, drifted=drifted)
+
+
+def _first_run(true: Bool, begin: int) -> int:
+    """Return the first of `_CONFIRM` consecutive readings from one on for which something is true; their number if there are none."""
+    later = true[begin:]
+    if len(later) < _CONFIRM:
+        return len(true)
+    run = np.lib.stride_tricks.sliding_window_view(later, _CONFIRM).all(axis=1)
+    return begin + int(run.argmax()) if run.any() else len(true)
 
 
 def _scores(change: Float64, channels: Channels) -> Float64:

@@ -18,12 +18,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.config import Settings, load_yaml, setting
-from foretouch.errors import ConfigError, TactileError, nearest, none_of, shown
+from foretouch.config import Settings, description_file, load_description, require_units, setting
+from foretouch.errors import ConfigError, TactileError, none_of, shown
 from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.layout import MOST_TAXELS, ArrayConfig, Layout, present, read_layout, require_length
 from foretouch.types import Bool, Index
 from foretouch.types.channels import LARGEST, Channel, Channels
+from foretouch.types.summary import Summarised
 
 STAMP_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 """Nanoseconds of each unit of a stamp that is a number."""
@@ -54,6 +55,7 @@ class FingerConfig(Settings):
         super().__post_init__()
         _check_names_and_paths(self)
         require_length(self, 3, "xyz", "rpy")
+        require_units(self, angles=["rpy"], lengths=["xyz"])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,12 +181,21 @@ class SensorConfig(Settings):
         return [known[name] for name in chosen]
 
 
-@dataclass(frozen=True, eq=False)
-class Sensor:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensor(Summarised):
     """A description and its taxels."""
 
     config: SensorConfig
     layout: Layout
+
+    def _summary(self) -> tuple[str, Mapping[str, Any]]:
+        title, facts = self.channels._summary()  # noqa: SLF001  which a sensor adds to
+        return title, {
+            **facts,
+            "taxels": f"{self.size} on a finger",
+            "dead": ", ".join(self.dead),
+            "sha256": self.sha256[:16],
+        }
 
     @property
     def size(self) -> int:
@@ -323,12 +334,8 @@ def load_sensor(sensor: str | Path) -> Sensor:
         ConfigError: If there is none, or it breaks a rule; names file, field and rule.
         FileError: If the CSV file breaks a rule; names file, line and rule.
     """
-    path, known = Path(sensor), sensor_files()
-    if not path.is_file() and not path.suffix and len(path.parts) == 1:
-        if str(sensor) not in known:
-            raise ConfigError(f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(sensor, known)}")
-        path = known[str(sensor)]
-    config = SensorConfig.from_mapping(load_yaml(path), str(path))
+    path = description_file(sensor, sensor_files())
+    config = load_description(path, SensorConfig, "a sensor")
     layout = (
         config.array.layout(config.absent) if config.array else read_layout(path.parent / config.taxels, config.absent)
     )

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Types of arrays, and classes whose fields are columns: arrays with one row for each of K things."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
 from dataclasses import replace as replace_fields
 from functools import cache
@@ -27,10 +28,11 @@ Rows: TypeAlias = slice | Index | Bool | Sequence[int]
 
 _ROW: Final = "row"  # key of the metadata of a column
 _REQUIRED: Final = object()
+_NO_NUMBERS: Final = {"c": "complex numbers", "U": "texts", "S": "texts", "M": "times", "m": "times"}
 
 
-def numbers(value: npt.ArrayLike, name: str, fault: type[ForetouchError]) -> Float64:
-    """Convert numbers, such as a list of them, to float64.
+def numbers(value: Any, name: str, fault: type[ForetouchError]) -> Float64:
+    """Convert numbers to float64: arrays, lists, and columns of tables, also of vectors. What is missing or masked is NaN.
 
     Args:
         value: The numbers.
@@ -41,9 +43,72 @@ def numbers(value: npt.ArrayLike, name: str, fault: type[ForetouchError]) -> Flo
         ForetouchError: Of the type `fault`, if they are no numbers.
     """
     try:
-        return np.asarray(value, np.float64)
-    except (TypeError, ValueError):
-        raise fault(f"{name}: {shown(value)} is not of numbers") from None
+        return _as_float64(unmasked(value))
+    except OverflowError:
+        why = "a number is too large"
+    except (TypeError, ValueError) as err:
+        why = str(err) if str(err) in _NO_NUMBERS.values() else ""
+        if "inhomogeneous" in str(err):
+            why = "rows of different lengths"
+    raise fault(f"{name}: {shown(value)} is not of numbers{why and ': '}{why}")
+
+
+def unmasked(value: Any) -> AnyArray:
+    """Return what NumPy makes an array of as an array, in which what is masked is missing: NaN, NaT or None.
+
+    Raises:
+        ValueError: If it is a list of rows of different lengths.
+    """
+    if isinstance(value, list | tuple) and any(isinstance(part, np.ma.MaskedArray) for part in value):
+        value = np.ma.array(value)
+    if not isinstance(value, np.ma.MaskedArray):
+        return np.asarray(value)
+    if not np.ma.getmaskarray(value).any():
+        return np.asarray(value.data)
+    if value.dtype.kind in "iub":
+        value = value.astype(np.float64)
+    if value.dtype.kind not in "fcmM":
+        return np.asarray(np.where(np.ma.getmaskarray(value), None, value.data.astype(object)), object)
+    return np.asarray(value.filled(np.array("NaT", value.dtype) if value.dtype.kind in "mM" else np.nan))
+
+
+def is_missing(value: Any) -> bool:
+    """Return whether a single value is a missing one: None, NaN, NaT, masked, or NA of pandas."""
+    if value is None or value is np.ma.masked or type(value).__name__ in ("NAType", "NaTType"):
+        return True
+    return isinstance(value, float | np.floating | np.datetime64 | np.timedelta64) and bool(value != value)  # noqa: PLR0124
+
+
+def _as_float64(array: AnyArray) -> Float64:
+    """Return an array as float64, missing objects in it as NaN, and objects that are vectors with their dimensions behind its own.
+
+    Raises:
+        TypeError, ValueError, OverflowError: If it holds something else than numbers.
+    """
+    if array.dtype.kind in "fiub":
+        return np.asarray(array, np.float64)
+    if array.dtype != object:
+        raise TypeError(_NO_NUMBERS.get(array.dtype.kind, ""))
+    items = [None if is_missing(item) else item for item in array.ravel()]
+    if any(isinstance(item, str | bytes) for item in items):
+        raise TypeError(_NO_NUMBERS["U"])
+    if not any(isinstance(item, np.ndarray | list | tuple) for item in items):
+        return np.array([np.nan if item is None else item for item in items], np.float64).reshape(array.shape)
+    rows = [None if item is None else _as_float64(unmasked(item)) for item in items]
+    nothing = np.full(next(row.shape for row in rows if row is not None), np.nan)
+    filled = np.array([nothing if row is None else row for row in rows])
+    return filled.reshape(*array.shape, *nothing.shape)
+
+
+def plain(value: Any) -> Any:
+    """Return arrays, tuples and mappings as JSON types; numbers that are not finite become None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def objects(rows: Sequence[Any] | AnyArray) -> Objects:
@@ -82,14 +147,27 @@ class Columns:
             if isinstance(value, Columns):
                 shape: tuple[int, ...] = (len(value),)
             else:
-                value = _array(value, dtype, count, row)
+                value = self._array(name, dtype, count, row)
                 shape = value.shape
                 fits = bool(shape) and _fits(shape[1:], row)
-            count = max(count, shape[0] if shape else -1)
+            count = shape[0] if count < 0 and shape else count
             if not fits or shape[0] != count:
                 wanted = ", ".join(str(size or "D") for size in (max(count, 0), *row))
                 raise self.fault(f"{name}: shape {shape} is not ({wanted}{'' if row else ','})")
             object.__setattr__(self, name, value)
+
+    def _array(self, name: str, dtype: Any, count: int, row: tuple[int | None, ...]) -> AnyArray:
+        """Return a column as an array; a single value is repeated for each row, where their number is known."""
+        value = getattr(self, name)
+        if dtype is object:
+            if isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 1:
+                return value
+            return objects(value if isinstance(value, np.ndarray | list) else [value] * max(count, 0))
+        if type(value) is np.ndarray and value.dtype == dtype:
+            array = value
+        else:
+            array = numbers(value, name, self.fault).astype(dtype, copy=False)
+        return array if array.ndim or count < 0 else np.full((count, *(size or 0 for size in row)), array)
 
     def __len__(self) -> int:
         return len(getattr(self, _columns(type(self))[0].name))
@@ -152,13 +230,3 @@ def _fits(shape: tuple[int, ...], row: tuple[int | None, ...]) -> bool:
     if shape == row:
         return True
     return len(shape) == len(row) and all(size in (None, own) for size, own in zip(row, shape, strict=True))
-
-
-def _array(value: Any, dtype: Any, count: int, row: tuple[int | None, ...]) -> AnyArray:
-    """Return rows as an array; a single value is repeated for each row, where their number is known."""
-    if dtype is object:
-        if isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 1:
-            return value
-        return objects(value if isinstance(value, np.ndarray | list) else [value] * max(count, 0))
-    array = np.asarray(value, dtype)
-    return array if array.ndim or count < 0 else np.full((count, *(size or 0 for size in row)), array)

@@ -14,6 +14,8 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError, quoted
 from foretouch.kernels import Kernel, struct
+from foretouch.types.arrays import numbers
+from foretouch.types.summary import Summarised
 
 _Float32 = npt.NDArray[np.float32]
 _Float64 = npt.NDArray[np.float64]
@@ -37,8 +39,8 @@ _NEAREST_M, _FARTHEST_M = 0.02, 100.0  # between them is the middle depth of any
 _SAMPLED: Final = 4096  # pixels of which the middle depth is taken
 
 
-@dataclass(frozen=True)
-class CameraModel:
+@dataclass(frozen=True, repr=False)
+class CameraModel(Summarised):
     """A pinhole camera with OpenCV's distortion, as in a `sensor_msgs/CameraInfo`.
 
     Args:
@@ -67,11 +69,11 @@ class CameraModel:
             if not isinstance(side, int | np.integer) or not 1 <= side <= _LARGEST_SIDE:
                 raise CloudError(f"{name}: {quoted(side)} px is not a whole number between 1 and {_LARGEST_SIDE}")
             object.__setattr__(self, name, int(side))
-        numbers = [_as_number("K", number) for number in (self.fx, self.fy, self.cx, self.cy)]
+        given = [_as_number("K", number) for number in (self.fx, self.fy, self.cx, self.cy)]
         names = ("fx", "fy", "cx", "cy")
-        if not numbers[0] and not numbers[1]:
+        if not given[0] and not given[1]:
             raise CloudError("K: fx and fy are 0: the camera is not calibrated")
-        for name, value in zip(names, numbers, strict=True):
+        for name, value in zip(names, given, strict=True):
             if not np.isfinite(value):
                 raise CloudError(f"K: {name} {value} is not finite")
             if name in {"cx", "cy"} and abs(value) > 10.0 * _LARGEST_SIDE:
@@ -87,6 +89,11 @@ class CameraModel:
                 )
         object.__setattr__(self, "distortion", _coefficients(self.distortion))
 
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        lens = f", distortion {list(self.distortion)}" if self.distortion else ""
+        numbers = (f"{name} {getattr(self, name):g}" for name in ("fx", "fy", "cx", "cy"))
+        return f"{self.width} x {self.height} px, {', '.join(numbers)}{lens}", {}
+
     @classmethod
     def of(cls, K: npt.ArrayLike, width: int, height: int, distortion: Any = None) -> Self:  # noqa: N803
         """Make the camera of whole images, as of a driver.
@@ -101,19 +108,16 @@ class CameraModel:
             CloudError: As the class, and if `K` has another form, a skew, or a principal point far from the middle, as the
                 K of another image size has.
         """
-        try:
-            numbers = np.asarray(K, np.float64)
-        except (TypeError, ValueError) as err:
-            raise CloudError(f"K: {err}") from err
-        if numbers.shape == (9,):
-            numbers = numbers.reshape(3, 3)
-        if numbers.shape == (3, 3):
-            if numbers.any() and (numbers[[0, 1, 2, 2], [1, 0, 0, 1]].any() or numbers[2, 2] != 1.0):
+        given = numbers(K, "K", CloudError)
+        if given.shape == (9,):
+            given = given.reshape(3, 3)
+        if given.shape == (3, 3):
+            if given.any() and (given[[0, 1, 2, 2], [1, 0, 0, 1]].any() or given[2, 2] != 1.0):
                 raise CloudError("K: is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-            numbers = numbers[[0, 1, 0, 1], [0, 1, 2, 2]]
-        if numbers.shape != (4,):
-            raise CloudError(f"K: shape {numbers.shape} is neither (3, 3) nor the four numbers fx, fy, cx, cy")
-        fx, fy, cx, cy = numbers.tolist()
+            given = given[[0, 1, 0, 1], [0, 1, 2, 2]]
+        if given.shape != (4,):
+            raise CloudError(f"K: shape {given.shape} is neither (3, 3) nor the four numbers fx, fy, cx, cy")
+        fx, fy, cx, cy = given.tolist()
         camera = cls(width, height, fx, fy, cx, cy, () if distortion is None else distortion)
         off = max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5))
         if off > _OFF_CENTRE:
@@ -176,6 +180,7 @@ class DepthImage:
     """
 
     def __init__(self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None) -> None:
+        depth = as_image(depth)
         height, width = check_image(depth)
         if (height, width) != camera.shape:
             raise CloudError(f"depth: {width}x{height} is not the size of the camera, {camera.width}x{camera.height}")
@@ -246,7 +251,7 @@ def _as_number(name: str, value: Any) -> float:
     """Return a number as float; a `CloudError` names the argument if it is none."""
     try:
         return float(value)
-    except (TypeError, ValueError) as err:
+    except (TypeError, ValueError, OverflowError) as err:
         raise CloudError(f"{name}: {quoted(value)} is not a number") from err
 
 
@@ -254,7 +259,7 @@ def as_image(depth: Any) -> npt.NDArray[Any]:
     """Return a depth image as an array; masked pixels are no depth. A `CloudError` if it is no array."""
     try:
         return np.asarray(np.ma.filled(depth, 0))
-    except ValueError as err:
+    except (ValueError, OverflowError) as err:
         raise CloudError(f"depth: {err}") from err
 
 
@@ -299,20 +304,17 @@ def _check_unit(depth: npt.NDArray[Any], kind: np.dtype[Any], scale: float) -> N
 
 def _coefficients(given: Any) -> tuple[float, ...]:
     """Return distortion coefficients without zeros at the end."""
-    try:
-        numbers = np.asarray(given, np.float64).ravel().tolist()
-    except (TypeError, ValueError) as err:
-        raise CloudError(f"distortion: {quoted(given)} is not a list of numbers ({err})") from err
-    if not np.isfinite(numbers).all():
-        raise CloudError(f"distortion: {numbers} is not finite")
-    while numbers and not numbers[-1]:
-        numbers.pop()
-    if len(numbers) > _COEFFICIENTS:
+    coefficients = numbers(given, "distortion", CloudError).ravel().tolist()
+    if not np.isfinite(coefficients).all():
+        raise CloudError(f"distortion: {coefficients} is not finite")
+    while coefficients and not coefficients[-1]:
+        coefficients.pop()
+    if len(coefficients) > _COEFFICIENTS:
         raise CloudError(
-            f"distortion: {len(numbers)} coefficients, more than the {_COEFFICIENTS} of {MODELS[1]} "
+            f"distortion: {len(coefficients)} coefficients, more than the {_COEFFICIENTS} of {MODELS[1]} "
             "(k1, k2, p1, p2, k3, k4, k5, k6): rectify the image"
         )
-    return tuple(numbers)
+    return tuple(coefficients)
 
 
 @lru_cache(maxsize=8)

@@ -13,7 +13,8 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import TactileError, none_of
+from foretouch.errors import TactileError, none_of, shown
+from foretouch.types.summary import Summarised, counted, names_of
 
 LARGEST: Final = 1e9
 """Of a number without a range, such as a force as float32."""
@@ -53,8 +54,8 @@ class Channel:
         return f"{value:.0f}" if self.resolution == 1.0 else f"{value:.3g}"
 
 
-@dataclass(frozen=True)
-class Channels:
+@dataclass(frozen=True, repr=False)
+class Channels(Summarised):
     """The values of a touch of two fingers that carry the same sensor.
 
     Attributes:
@@ -68,6 +69,12 @@ class Channels:
     sha256: str
     fingers: tuple[str, ...]
     channels: tuple[Channel, ...]
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        of_finger = ", ".join(f"{channel.size} x {channel.name} [{channel.unit}]" for channel in self.channels)
+        return f"{shown(self.sensor, 40)}, {counted(self.size, 'value')}", {
+            "fingers": names_of(self.fingers), "of a finger": of_finger, "modalities": names_of(self.modalities)
+        }  # fmt: skip
 
     @cached_property
     def modalities(self) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point clouds and planes."""
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -8,9 +9,10 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import CloudError
-from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8
+from foretouch.errors import CloudError, quoted, shown
+from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8, numbers, unmasked
 from foretouch.types.camera import CameraModel, DepthImage, as_image, check_image
+from foretouch.types.summary import Summarised
 
 SQUARABLE = (1e-145, 1e150)
 """Numbers between these have squares of full precision.
@@ -19,8 +21,11 @@ A vector with a larger or smaller one is scaled before its norm.
 """
 
 
-@dataclass(frozen=True, eq=False)
-class Cloud:
+_UNIT = 1e-3  # largest deviation of a normal's length from 1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Cloud(Summarised):
     """A point cloud, organised like an image or not.
 
     Raises:
@@ -35,13 +40,14 @@ class Cloud:
     camera: CameraModel | None = None  # whose rays the points of the image are on; None if it is not known
 
     def __post_init__(self) -> None:
-        if not isinstance(self.xyz, np.ndarray) or self.xyz.dtype != np.float32:
+        _check_header(self.frame_id, self.stamp_ns)
+        if type(self.xyz) is not np.ndarray or self.xyz.dtype != np.float32:
             object.__setattr__(self, "xyz", _as_float32(self.xyz))
         if self.xyz.ndim not in (2, 3) or self.xyz.shape[-1] != 3:
             raise CloudError(f"xyz: shape {self.xyz.shape} is neither (N, 3) nor (H, W, 3)")
         if self.rgb is not None:
-            if not isinstance(self.rgb, np.ndarray):
-                object.__setattr__(self, "rgb", np.asarray(self.rgb))
+            if type(self.rgb) is not np.ndarray:
+                object.__setattr__(self, "rgb", np.asarray(np.ma.filled(self.rgb, 0)))
             if self.rgb.shape != self.xyz.shape:
                 raise CloudError(f"rgb: shape {self.rgb.shape} differs from xyz, {self.xyz.shape}")
             if self.rgb.dtype != np.uint8:
@@ -84,6 +90,16 @@ class Cloud:
         elif distortion is not None:
             raise CloudError("distortion: is given twice, here and in the CameraModel")
         return DepthCloud.of(DepthImage(image, K, scale), rgb, frame_id, stamp_ns)
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        finite = int(np.count_nonzero(np.isfinite(self.xyz[..., 2])))
+        shape = f"{self.xyz.shape[0]} x {self.xyz.shape[1]} pixels, " if self.organised else ""
+        return self._titled(f"{shape}{finite:,} of {self.size:,} points finite")
+
+    def _titled(self, points: str) -> tuple[str, dict[str, str]]:
+        colours = ", colours" if self.rgb is not None else ""
+        frame = f", frame {shown(self.frame_id, 30)!r}" if self.frame_id else ""
+        return f"{points}{colours}{frame}", {}
 
     @property
     def organised(self) -> bool:
@@ -152,6 +168,11 @@ class DepthCloud(Cloud):
         assert self.image is not None  # noqa: S101  a copy has its points
         return self.image.points()
 
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        if self.image is None or "xyz" in vars(self):
+            return super()._summary()
+        return self._titled(f"depth image of {self.image.shape[0]} x {self.image.shape[1]} pixels")
+
     @property
     def organised(self) -> bool:
         """Whether the points form an image (H, W)."""
@@ -164,24 +185,53 @@ class DepthCloud(Cloud):
 
 
 def _as_float32(xyz: Any) -> Float32:
-    """Convert an array of numbers to float32; what float32 cannot hold becomes infinite, which is no point."""
+    """Convert an array of numbers to float32; what is masked or missing is NaN, and what float32 cannot hold infinite: no points."""
     try:
-        numbers = np.asarray(xyz)
+        array = unmasked(xyz)
     except ValueError as err:
         raise CloudError(f"xyz: {err}") from err
-    if numbers.dtype.kind not in "fiu":
-        raise CloudError(f"xyz: dtype {numbers.dtype} is not of numbers")
+    if array.dtype == object:
+        array = numbers(array, "xyz", CloudError)
+    if array.dtype.kind not in "fiu":
+        raise CloudError(f"xyz: dtype {array.dtype} is not of numbers")
     with np.errstate(over="ignore"):
-        return numbers.astype(np.float32)
+        return array.astype(np.float32)
 
 
-@dataclass(frozen=True, eq=False)
-class Plane:
-    """The plane n·p + d = 0."""
+def _check_header(frame_id: object, stamp_ns: object) -> None:
+    if type(frame_id) is not str and not isinstance(frame_id, str):
+        raise CloudError(f"frame_id: {quoted(frame_id)} is not a text")
+    if not isinstance(stamp_ns, int | np.integer) or not -(2**63) <= stamp_ns < 2**63:
+        raise CloudError(f"stamp_ns: {quoted(stamp_ns)} is not a whole number of nanoseconds")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plane(Summarised):
+    """The plane n·p + d = 0.
+
+    Raises:
+        CloudError: If the normal is not of unit length, or the offset not finite.
+    """
 
     normal: Float64  # (3,) float64, unit length, towards the camera if the plane was measured
     offset: float  # d [m]
     assumed: bool = False  # whether it was not seen, but follows from the camera looking straight down
+
+    def __post_init__(self) -> None:
+        normal = numbers(self.normal, "normal", CloudError)
+        if normal.shape != (3,):
+            raise CloudError(f"normal: shape {normal.shape} is not (3,)")
+        length = math.hypot(*normal.tolist())
+        if not abs(length - 1.0) < _UNIT or not math.isfinite(self.offset):
+            rule = "is not 1, or the offset is not finite; Plane.from_coefficients((a, b, c, d)) takes any length"
+            raise CloudError(f"normal: length {length:g} of {normal.tolist()} with offset {self.offset!r} {rule}")
+        object.__setattr__(self, "normal", normal)
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        return (
+            f"normal {self.normal.round(3).tolist()}, offset {self.offset:.4g} m{', assumed' if self.assumed else ''}",
+            {},
+        )
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Self:
@@ -193,7 +243,7 @@ class Plane:
         Raises:
             CloudError: If they or the offset are not finite, or (a, b, c) is zero.
         """
-        abcd = np.asarray(coefficients, dtype=np.float64)
+        abcd = numbers(coefficients, "plane", CloudError)
         if abcd.shape != (4,) or not np.isfinite(abcd).all():
             raise CloudError(f"plane: {coefficients!r} is not four finite numbers")
         largest = float(np.abs(abcd[:3]).max())
@@ -217,6 +267,11 @@ class Plane:
         """The same plane, its normal on the side of the origin, where the camera is."""
         return replace(self, normal=-self.normal, offset=-self.offset) if self.offset < 0.0 else self
 
+    def moved(self, pose: Float64) -> "Plane":
+        """Return the same plane in another frame, in which `pose` (4, 4) is the frame of this one."""
+        normal = pose[:3, :3] @ self.normal
+        return replace(self, normal=normal, offset=self.offset - float(normal @ pose[:3, 3]))
+
     def height(self, xyz: Floating) -> Floating:
         """Compute the distance of points from the plane.
 
@@ -233,11 +288,19 @@ ASSUMED_TABLE = Plane(np.array([0.0, 0.0, 1.0]), -1.27, assumed=True)
 """The table of a cloud that holds only an object: seen from straight above, as in the public recordings."""
 
 
-def assumed_table(cloud: Cloud) -> Plane:
-    """Return the table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point."""
-    depths = cloud.xyz[..., 2]
-    depths = depths[np.isfinite(depths)]
-    return replace(ASSUMED_TABLE, offset=-float(depths.max())) if depths.size else ASSUMED_TABLE
+def assumed_table(cloud: Cloud, up: Float64 | None = None) -> Plane:
+    """Return the table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point.
+
+    Args:
+        cloud: Of the object.
+        up: (3,) float64 of unit length in its frame, where it is known what is up; then through the lowest point.
+    """
+    points = cloud.finite.astype(np.float64)
+    if not len(points):
+        return ASSUMED_TABLE
+    if up is not None:
+        return Plane(up, -float((points @ up).min()))
+    return replace(ASSUMED_TABLE, offset=-float(points[:, 2].max()))
 
 
 NO_CLOUD = Cloud(np.empty((0, 3), np.float32))

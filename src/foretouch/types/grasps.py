@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasps: two contacts and the orientation of the hand, one or K of them as columns."""
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, Self, overload
 
 import numpy as np
 
-from foretouch.errors import ForetouchError, GraspError
-from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers
+from foretouch.errors import ForetouchError, GraspError, shown
+from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain
+from foretouch.types.channels import NO_CHANNELS
+from foretouch.types.rotations import are_absent, check_rotation, quaternion_xyzw, require_rotations
+from foretouch.types.summary import Summarised, names_of, spread
+from foretouch.types.tables import LabelledTable, Tabular, Variable, labels_of, texts
 
 TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
 """Angles of the palm about the line from g1 to g2 [rad]: 0 is straight above, positive ones come from the side to which up x line points."""
@@ -16,8 +21,8 @@ TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.
 _MIRRORED = np.abs(TILTS[:, None] + TILTS).argmin(axis=1)  # place of the negative of each angle
 
 
-@dataclass(frozen=True, eq=False)
-class WayIn:
+@dataclass(frozen=True, eq=False, repr=False)
+class WayIn(Summarised):
     """How a described hand comes to a grasp (`foretouch.grasp.hand` finds it)."""
 
     approach: (
@@ -33,23 +38,30 @@ class WayIn:
     joints: tuple[str, ...] = ()  # names of J joints
     hand: str = ""  # its description: a name of the package, or the path of a YAML file
 
+    def moved(self, pose: Float64) -> Self:
+        """Return the same way in another frame, in which `pose` (4, 4) is the frame of this one."""
+        return replace(self, approach=pose[:3, :3] @ self.approach, pose_of_hand=pose @ self.pose_of_hand)
+
     def with_contacts_swapped(self) -> Self:
         """Return the same way to a grasp whose contacts have each other's names."""
         swapped = self.approaches[::-1, _MIRRORED]  # the line turns round, and with it the sign of each angle
         return replace(self, thumb_at="g1" if self.thumb_at == "g2" else "g2", approaches=swapped)
 
 
-@dataclass(frozen=True, eq=False)
-class Grasp:
+@dataclass(frozen=True, eq=False, repr=False)
+class Grasp(Summarised):
     """Two contacts and the orientation of the hand (P2: g1, g2, R).
 
     Raises:
-        GraspError: If a contact or the rotation is not finite or has a wrong shape, or g1 equals g2.
+        GraspError: If a contact or the rotation is not finite or has a wrong shape, g1 equals g2, or the matrix is no
+            rotation.
     """
 
     g1: Float64  # (3,) float64 [m], cloud frame
     g2: Float64  # (3,) float64 [m], cloud frame
-    rotation: Float64  # (3, 3) float64, columns X, Y, Z of the hand: Z along g1 - g2, X along Z x object axis
+    # (3, 3) float64, columns X, Y, Z of the hand: Z along g1 - g2, X along Z x object axis. Zero where it is not given:
+    # a prediction on an object computes it
+    rotation: Float64 = field(default_factory=lambda: np.zeros((3, 3)))
     score: float = float("nan")  # score of the planner, higher is better; NaN if it is undefined
     id: str = ""  # unique within a session
     object_id: str = ""  # the object for which it was planned
@@ -63,6 +75,53 @@ class Grasp:
             object.__setattr__(self, name, array)
         if fault := contact_faults(self.g1[None], self.g2[None], self.rotation[None])[0]:
             raise GraspError(fault)
+        if self.rotation.any():
+            check_rotation(self.rotation)
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        facts = [f"{1e3 * self.width_m:.0f} mm wide at {self.midpoint.round(3).tolist()} m"]
+        facts += [] if math.isnan(self.score) else [f"score {self.score:.3g}"]
+        facts += [] if self.rotation.any() else ["rotation not given"]
+        facts += [f"on object {shown(self.object_id, 20)!r}"] if self.object_id else []
+        return ", ".join([*facts, *([] if self.way is None else [shown(self.way.hand, 20)])]), {}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON, as `foretouch grasp --json` prints it.
+
+        Contacts [m], rotation row by row (None where it is not given), score (None if it is undefined), and how a hand comes
+        to it, if it was planned for one.
+        """
+        record: dict[str, Any] = {
+            "g1": self.g1,
+            "g2": self.g2,
+            "rotation": self.rotation.reshape(9) if self.rotation.any() else None,
+            "score": self.score,
+            "width_m": self.width_m,
+        }
+        if (way := self.way) is not None:
+            record |= {
+                "hand": way.hand,
+                "approach": way.approach,
+                "depth_m": way.depth_m,
+                "approaches": way.approaches,
+                "thumb_at": way.thumb_at,
+                "pose_of_hand": {
+                    "position": way.pose_of_hand[:3, 3],
+                    "quaternion_xyzw": quaternion_xyzw(way.pose_of_hand[:3, :3]),
+                },
+                "posture": dict(zip(way.joints, way.posture.tolist(), strict=True)),
+            }
+        return {key: plain(value) for key, value in record.items()}
+
+    def moved(self, pose: Float64) -> Self:
+        """Return the same grasp in another frame, in which `pose` (4, 4) is the frame of this one."""
+        return replace(
+            self,
+            g1=pose[:3, :3] @ self.g1 + pose[:3, 3],
+            g2=pose[:3, :3] @ self.g2 + pose[:3, 3],
+            rotation=pose[:3, :3] @ self.rotation,
+            way=None if self.way is None else self.way.moved(pose),
+        )
 
     @property
     def midpoint(self) -> Float64:
@@ -98,25 +157,66 @@ def contact_faults(g1: Float64, g2: Float64, rotation: Float64) -> list[str]:
     return faults
 
 
-@dataclass(frozen=True, eq=False)
-class Grasps(Columns, Sequence[Grasp]):
+@dataclass(frozen=True, eq=False, repr=False)
+class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
     """K grasps on one cloud as columns, best first where they were planned.
 
-    `grasps[k]` is a `Grasp`, and a slice or a mask selects several. Rows may hold numbers that are no grasp, such as NaN in
-    a request: `grasps[k]` then raises a `GraspError`, and a touch model refuses them with a reason.
+    `grasps[k]` is a `Grasp`, and a slice or a mask selects several. `Grasps(g1, g2)` has no rotations: a prediction on an
+    object of a scene, or with a table, computes them as the planner does (`predictions.grasps`); on a cloud without a table
+    it refuses such grasps. Rows may hold numbers that are no grasp, such as NaN in a request: `grasps[k]` then raises a
+    `GraspError`, and a touch model refuses them with a reason.
+
+    Raises:
+        GraspError: Names a column whose shape does not fit, or a matrix that is no rotation.
     """
 
     fault: ClassVar[type[ForetouchError]] = GraspError
 
     g1: Float64 = column(3)  # (K, 3) float64 [m], cloud frame
     g2: Float64 = column(3)  # (K, 3) float64 [m], cloud frame
-    rotation: Float64 = column(3, 3)  # (K, 3, 3) float64, columns X, Y, Z of the hand in the cloud frame
+    # (K, 3, 3) float64, columns X, Y, Z of the hand in the cloud frame; zero where it is not given
+    rotation: Float64 = column(3, 3, default=0.0)
     score: Float64 = column(default=np.nan)  # (K,) float64, higher is better; NaN if it is undefined
     id: Objects = column(default="", dtype=object)  # (K,) texts, unique within a session
     object_id: Objects = column(default="", dtype=object)  # (K,) texts, the objects for which they were planned
     way: Objects = column(default=None, dtype=object)  # (K,) `WayIn` or None: how the hand comes to each
     status: str = "ok"  # of the plan: `ok`, `initial_points` or `no_grasp`
     reason: str = ""  # explanation of the status
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_rotations(self.rotation)
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        absent = int(are_absent(self.rotation).sum())
+        return f"{len(self)}, {self.status}", {
+            "reason": self.reason,
+            "object": names_of(list(dict.fromkeys(filter(None, self.object_id)))),
+            "width": f"{spread(1e3 * self.width_m)} mm" if len(self) else "",
+            "score": spread(self.score),
+            "rotation": f"not given for {absent}, computed on an object" if absent else "",
+            "hand": names_of(list(dict.fromkeys(way.hand for way in self.way if way is not None))),
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON: `status`, `reason` and `grasps`, each as `Grasp.to_dict`; None for a row that is none."""
+        faults = contact_faults(self.g1, self.g2, self.rotation)
+        rows = [None if fault else self[k].to_dict() for k, fault in enumerate(faults)]
+        return {"status": self.status, "reason": self.reason, "grasps": rows}
+
+    def _table(self) -> LabelledTable:
+        variables = {
+            "g1": Variable(("grasp", "axis"), self.g1, "m"),
+            "g2": Variable(("grasp", "axis"), self.g2, "m"),
+            "rotation": Variable(("grasp", "axis", "hand_axis"), self.rotation),
+            "score": Variable(("grasp",), self.score),
+            "width_m": Variable(("grasp",), self.width_m, "m"),
+            **{name: Variable(("grasp",), texts(getattr(self, name))) for name in ("id", "object_id")},
+        }
+        if any(way is not None for way in self.way):
+            variables["approach"] = Variable(("grasp", "axis"), self.approach)
+            variables["depth_m"] = Variable(("grasp",), self.depth_m, "m")
+        return LabelledTable(variables, labels_of(NO_CHANNELS))
 
     @classmethod
     def of(cls, grasps: Sequence[Grasp]) -> "Grasps":
@@ -167,6 +267,15 @@ class Grasps(Columns, Sequence[Grasp]):
     def __iter__(self) -> Iterator[Grasp]:
         return (self[k] for k in range(len(self)))
 
+    def moved(self, pose: Float64) -> Self:
+        """Return the same grasps in another frame, in which `pose` (4, 4) is the frame of these."""
+        return self.replace(
+            g1=self.g1 @ pose[:3, :3].T + pose[:3, 3],
+            g2=self.g2 @ pose[:3, :3].T + pose[:3, 3],
+            rotation=pose[:3, :3] @ self.rotation,
+            way=objects([None if way is None else way.moved(pose) for way in self.way]),
+        )
+
     @property
     def midpoint(self) -> Float64:
         """(K, 3) float64 [m], the origins of the hand frames."""
@@ -198,7 +307,13 @@ class Grasps(Columns, Sequence[Grasp]):
 
     @property
     def pose(self) -> Float64:
-        """(K, 4, 4) float64, poses of the hand in the cloud frame: x_cloud = pose @ x_hand, origin at the midpoint [m]."""
+        """(K, 4, 4) float64, poses of the hand in the cloud frame: x_cloud = pose @ x_hand, origin at the midpoint [m].
+
+        A `GraspError` if a rotation is not given.
+        """
+        if (absent := are_absent(self.rotation)).any():
+            rule = "is not given; a prediction on an object computes it (predictions.grasps.pose)"
+            raise GraspError(f"rotation: of grasp {int(absent.argmax())} {rule}")
         poses = np.zeros((len(self), 4, 4))
         poses[:, :3, :3] = self.rotation
         poses[:, :3, 3] = self.midpoint

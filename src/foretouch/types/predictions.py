@@ -2,15 +2,18 @@
 """Tactile readings, and predictions of them, one or K of them as columns."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Final, Literal, NamedTuple, Self, overload
 
 import numpy as np
+import numpy.typing as npt
 
-from foretouch.errors import ForetouchError, TactileError
-from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects
-from foretouch.types.channels import NO_CHANNELS, Channels
+from foretouch.errors import ForetouchError, TactileError, shown
+from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain
+from foretouch.types.channels import NO_CHANNELS, Channel, Channels
 from foretouch.types.grasps import Grasp, Grasps
+from foretouch.types.summary import Summarised, counted, names_of, spread, summary_text, tallied
+from foretouch.types.tables import LabelledTable, Tabular, Variable, labels_of, texts
 
 Reference = Literal["none", "tare", "touches", "history"]
 
@@ -21,8 +24,8 @@ UNKNOWN_FRAME: Final = "unknown_frame"
 """Flag of the answer to a request in another frame than the graph's clouds, where no transform is known."""
 
 
-@dataclass(frozen=True, eq=False)
-class Touch:
+@dataclass(frozen=True, eq=False, repr=False)
+class Touch(Summarised):
     """A tactile reading of both fingers, in the unit of each channel.
 
     Raises:
@@ -37,6 +40,40 @@ class Touch:
         if values.shape != (self.channels.size,):
             raise TactileError(f"touch: shape {values.shape} is not ({self.channels.size},) of {self.channels.sensor}")
         object.__setattr__(self, "values", values)
+
+    @classmethod
+    def of(cls, channels: Channels, /, **parts: npt.ArrayLike) -> Self:
+        """Make a reading of named parts, so that no order of values has to be known.
+
+        Args:
+            channels: What the values are, such as `model.sensor.channels`.
+            parts: By modality a number or (N,), such as `PDC_TH=…, PDC_MF=…, E_TH=…, E_MF=…`; or by channel of both fingers
+                (F,) or (F, N), such as `PDC=…, E=…`.
+
+        Raises:
+            TactileError: If a part is unknown, missing, given twice, or of another shape.
+        """
+        values, given = np.full(channels.size, np.nan), np.zeros(channels.size, np.bool_)
+        for name, part in parts.items():
+            array = numbers(part, name, TactileError)
+            places = channels.part(np.arange(channels.size, dtype=np.float64), name).astype(np.intp)
+            if array.shape != places.shape and not (array.size == places.size == 1):
+                raise TactileError(f"{name}: shape {array.shape} is not {places.shape}")
+            if given[places].any():
+                raise TactileError(f"{name}: is given twice, as a channel and as a modality")
+            values[places], given[places] = array, True
+        if missing := [name for name, own in channels.modality_columns.items() if not given[own].all()]:
+            raise TactileError(f"touch: {', '.join(missing)} of {channels.sensor} is missing")
+        return cls(values, channels)
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        return shown(self.channels.sensor, 60), {
+            name: _range_text(self[name], channel) or "unknown" for name, channel in self.channels.channel_of.items()
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON: by modality a number or a list; None for what is NaN."""
+        return {name: plain(part) for name, part in self.parts().items()}
 
     @classmethod
     def unknown(cls, channels: Channels) -> Self:
@@ -76,9 +113,14 @@ class Predicted(NamedTuple):
     lower: Float64  # bounds of the prediction intervals; NaN without calibration
     upper: Float64
 
+    def __repr__(self) -> str:
+        return summary_text(
+            "Predicted", str(self.value.shape), {name: spread(end) for name, end in self._asdict().items()}
+        )
 
-@dataclass(frozen=True, eq=False)
-class Predictions(Columns, Sequence["Prediction"]):
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
     """Predicted readings of both fingertips for K grasps, as columns.
 
     `predictions["E"]` has arrays by finger of one channel, `predictions[k]` is the prediction for one grasp, and a slice
@@ -109,6 +151,31 @@ class Predictions(Columns, Sequence["Prediction"]):
         for name in ("value", "lower", "upper"):
             if (shape := getattr(self, name).shape) != (len(self), size):
                 raise TactileError(f"{name}: shape {shape} is not ({len(self)}, {size}) of {self.channels.sensor}")
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        return f"{counted(len(self), 'grasp')}: {tallied(self.status)}", {
+            **_range_texts(self),
+            "adapted to": tallied(self.reference),
+            "flags": tallied(flag for flags in self.flags for flag in flags),
+            "refused": names_of(list(dict.fromkeys(filter(None, self.reason)))[:1]),
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON: the sensor, and `predictions`, each as `Prediction.to_dict`."""
+        sensor = {"sensor": self.channels.sensor, "sensor_sha256": self.channels.sha256}
+        return {**sensor, "predictions": [prediction.to_dict() for prediction in self]}
+
+    def _table(self) -> LabelledTable:
+        channels = self.channels
+        variables = dict(self.grasps._table().variables)  # noqa: SLF001  of the same base
+        for channel in channels.channels:
+            part = np.stack(self[channel.name], axis=-1)
+            dims = ("grasp", "finger", "taxel")[: part.ndim - 1]
+            variables[channel.name] = Variable((*dims, "end"), part, channel.unit)
+        for name in ("status", "reason", "flags", "reference"):
+            variables[name] = Variable(("grasp",), texts(getattr(self, name)))
+        facts = {"sensor": channels.sensor, "sensor_sha256": channels.sha256}
+        return LabelledTable(variables, labels_of(channels), facts)
 
     @classmethod
     def refused(
@@ -163,7 +230,7 @@ class Predictions(Columns, Sequence["Prediction"]):
         return (Prediction(self, k) for k in range(len(self)))
 
 
-class Prediction:
+class Prediction(Summarised):
     """The predicted reading of both fingertips if one grasp were executed: a row of `Predictions`."""
 
     __slots__ = ("_k", "_rows")
@@ -192,6 +259,36 @@ class Prediction:
     def __getitem__(self, name: str) -> Predicted:
         """Return values and bounds of a channel, such as E: (F, N), or (F,) of a scalar; a `TactileError` names an unknown one."""
         return Predicted(*(self.channels.part(end.values, name) for end in (self.value, self.lower, self.upper)))
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        touches = self.evidence.touches
+        return self.status, {
+            **_range_texts(self.row),
+            "adapted to": f"{self.reference} {touches}" if touches else self.reference,
+            "flags": names_of(self.flags),
+            "refused": self.reason,
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON, as `foretouch predict --json` prints it.
+
+        The grasp (None if its numbers are none); `value`, `lower` and `upper` of each modality, None where there is no prediction
+        or no calibration; reference, evidence, flags, status and reason.
+        """
+        ends = {"value": self.value.to_dict() if self.ok else {}}
+        ends |= {"lower": self.lower.to_dict(), "upper": self.upper.to_dict()} if self.calibrated else {}
+        return {
+            "grasp": self.row.grasps.to_dict()["grasps"][0],
+            **{
+                name: {end: ends.get(end, {}).get(name) for end in ("value", "lower", "upper")}
+                for name in self.channels.modalities
+            },
+            "reference": self.reference,
+            "evidence": asdict(self.evidence),
+            "flags": list(self.flags),
+            "status": self.status,
+            "reason": self.reason,
+        }
 
     @property
     def row(self) -> Predictions:
@@ -259,6 +356,26 @@ class Prediction:
         """The readings behind `reference`."""
         evidence: Evidence = self._rows.evidence[self._k]
         return evidence
+
+
+_MODALITIES: Final = 5  # of a summary
+
+
+def _range_text(values: Float64, channel: Channel, half: Float64 | None = None) -> str:
+    """Return the range of values of a channel with their mean half width and unit, for a summary; "" of none."""
+    if not (text := spread(values, channel.text)):
+        return ""
+    known = np.empty(0) if half is None else half[np.isfinite(half)]
+    return f"{text}{f' ± {channel.text(float(known.mean()))}' if known.size else ''} {channel.unit}".rstrip()
+
+
+def _range_texts(rows: Predictions) -> dict[str, str]:
+    """Return the ranges of the first modalities of K predictions."""
+    texts_ = {}
+    for name, channel in list(rows.channels.channel_of.items())[:_MODALITIES]:
+        value, lower, upper = rows[name]
+        texts_[name] = _range_text(value, channel, (upper - lower) / 2.0)
+    return texts_
 
 
 def evidence_text(reference: str, touches: int, readings: int) -> str:

@@ -3,15 +3,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from foretouch.errors import DatasetError
-from foretouch.types.arrays import AnyArray, Float32, Int64, UInt8
+from foretouch.errors import DatasetError, shown
+from foretouch.types.arrays import AnyArray, Float32, Int64, UInt8, plain
 from foretouch.types.cloud import NO_CLOUD, Cloud
 from foretouch.types.grasps import NO_GRASP, Grasp
 from foretouch.types.predictions import Touch
+from foretouch.types.summary import Summarised, briefly, counted, names_of
 
 REST: Final = 0
 APPROACH: Final = 1
@@ -26,8 +27,8 @@ OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
 """In the order of their numbers in messages."""
 
 
-@dataclass(frozen=True, eq=False)
-class TouchSeries:
+@dataclass(frozen=True, eq=False, repr=False)
+class TouchSeries(Summarised):
     """The readings around one grasp, in the order of their stamps.
 
     Raises:
@@ -49,8 +50,8 @@ class TouchSeries:
                 raise DatasetError(f"series.{name}: shape {array.shape} is not {shape}")
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sample(Summarised):
     """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>), and what was recorded with it.
 
     It is labelled if it has a touch. Without, its grasp is the best planned one.
@@ -82,6 +83,35 @@ class Sample:
             shape = (len(self.series.stamps_ns), self.touch.channels.size)
             if self.series.counts.shape != shape:
                 raise DatasetError(f"series.counts: shape {self.series.counts.shape} is not {shape}")
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        series = self.series
+        return f"{shown(self.id, 40)!r}, {'not ' if self.touch is None else ''}labelled", {
+            "object": shown(self.object, 60),
+            "cloud": briefly(vars(self)["cloud"]) if "cloud" in vars(self) else "is read when it is used",
+            "grasp": briefly(self.grasp),
+            "touch": "" if self.touch is None else briefly(self.touch),
+            "tare": "" if self.tare is None else briefly(self.tare),
+            "series": "" if series is None else counted(len(series.stamps_ns), "reading"),
+            "outcome": "" if self.outcome == "unknown" else self.outcome,
+            "flags": names_of(self.flags),
+            "note": shown(self.note, 60),
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON: grasp, readings by modality (None without), and facts; not cloud and series."""
+        return {
+            "id": self.id,
+            "object": self.object,
+            "stamp_ns": self.stamp_ns,
+            "grasp": self.grasp.to_dict(),
+            "touch": None if self.touch is None else self.touch.to_dict(),
+            "tare": None if self.tare is None else self.tare.to_dict(),
+            "extra": plain(self.extra),
+            "outcome": self.outcome,
+            "note": self.note,
+            "flags": list(self.flags),
+        }
 
     @property
     def readings(self) -> TouchSeries | None:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from foretouch.errors import CloudError, shown
 from foretouch.types.arrays import Float32, Float64, Int32, Int64
 from foretouch.types.cloud import Cloud, Plane, require_cloud
+from foretouch.types.summary import Summarised, briefly, counted, names_of, tallied
 
 NEAR_M: Final = 0.03
 """How far from a point the object that is meant by it may be."""
@@ -20,8 +21,8 @@ _OBSTACLE_POINTS: Final = 400  # at most, of each object
 _SAME_POINT_M: Final = 0.005  # between points of one object, if one of the clouds was thinned or smoothed
 
 
-@dataclass(frozen=True, eq=False)
-class Obstacles:
+@dataclass(frozen=True, eq=False, repr=False)
+class Obstacles(Summarised):
     """Points of all objects of a scene, sampled, which stand in the way of fingers."""
 
     xyz: Float32  # (M, 3) float32 [m], camera frame
@@ -58,8 +59,8 @@ class Obstacles:
         return [k for k in np.unique(self.object_ids).tolist() if near[self.object_ids == k].mean() > 0.5]
 
 
-@dataclass(frozen=True, eq=False)
-class Object:
+@dataclass(frozen=True, eq=False, repr=False)
+class Object(Summarised):
     """One object, and the table that it stands on."""
 
     id: str  # unique within its cloud: its label in `Scene.labels` in digits, or a name
@@ -81,6 +82,11 @@ class Object:
             raise CloudError(
                 f"plane: {type(self.plane).__name__} is not a Plane, such as Plane.from_coefficients((a, b, c, d))"
             )
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        size = " x ".join(f"{side:.2f}" for side in (self.bounds[1] - self.bounds[0]).tolist())
+        facts = [f"{shown(self.id, 30)!r}: {counted(self.n_points, 'point')}, {size} m, {self.distance_m:.2f} m away"]
+        return ", ".join([*facts, *([self.background] if self.background else []), *self.flags]), {}
 
     @classmethod
     def of(cls, object_id: str, cloud: Cloud, plane: Plane, **others: Any) -> Self:
@@ -113,8 +119,8 @@ class Object:
         return float(np.linalg.norm(self.centroid))
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene(Summarised):
     """The table and the objects in a cloud.
 
     Flying pixels at the outline of an object have its label, but an unreliable depth, so they are not in its cloud.
@@ -140,6 +146,16 @@ class Scene:
     ms: dict[str, float]  # time of each stage of the segmentation and `total` [ms]
     targets: tuple[Object, ...] = ()  # the objects to grasp, best first, where they were selected
     obstacles: Obstacles | None = None  # the points of all objects, if there are several and targets were selected
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        return f"{self.status}, {counted(len(self.objects), 'object')}", {
+            "reason": self.reason,
+            "cloud": briefly(self.cloud),
+            "table": "none" if self.table is None else briefly(self.table),
+            "objects": names_of([f"{one.id}: {one.n_points:,} points" for one in self.objects]),
+            "targets": names_of([one.id for one in self.targets]),
+            "background": tallied(one.background for one in self.background),
+        }
 
     def at(self, u: int, v: int) -> Object:
         """Return the object at a pixel.

@@ -10,11 +10,11 @@ from foretouch import __version__
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.cli.parser import CommandParser
-from foretouch.config import load_yaml, parse_overrides
+from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError, FileError
 from foretouch.types import Sample
 from foretouch_lab.dataset.store_writer import StoreWriter
-from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.simulate import Simulation, explain_scene
 
 SHEET = "contact_sheet.png"
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _scene(arguments: argparse.Namespace) -> SceneConfig:
-    scene = SceneConfig.from_mapping(load_yaml(arguments.scene), arguments.scene)
+    scene = load_scene(arguments.scene)
     changes = parse_overrides(arguments.set)
     if arguments.seed is not None:
         changes["seed"] = arguments.seed

@@ -87,7 +87,8 @@ def _train(arguments: argparse.Namespace, config: RunConfig, data: Dataset) -> i
 
 
 def _compare(arguments: argparse.Namespace, config: RunConfig, data: Dataset) -> int:
-    from foretouch_lab.learning.training.run import compare_splits, make_learner
+    from foretouch_lab.learning.training.compare import compare_splits
+    from foretouch_lab.learning.training.learners import make_learner
 
     records: list[Mapping[str, Any]] = []
     report = print_json if arguments.json else records.append

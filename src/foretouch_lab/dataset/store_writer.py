@@ -6,7 +6,6 @@ The content hash depends on the samples and their order alone: the same recordin
 
 import hashlib
 import json
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -24,7 +23,7 @@ from foretouch.dataset.identity import id_number, numbered_id
 from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
-from foretouch.files import file_sha256, system_errors
+from foretouch.files import file_sha256, system_errors, write_text
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, with_sensor
@@ -98,7 +97,7 @@ class StoreWriter:
         path = self._folder / name
         if path.name != name or path.exists() or name == MANIFEST:
             raise DatasetError(f"{self.path}: {name} is taken, or not the name of a file")
-        path.write_bytes(text.encode())
+        write_text(path, text)
         self._files.append({"file": name, "sha256": file_sha256(path)})
 
     def _end_batch(self) -> None:
@@ -133,10 +132,7 @@ class StoreWriter:
         }
         if self._files:
             manifest["files"] = self._files
-        with (self._folder / MANIFEST).open("w", encoding="utf-8") as file:
-            file.write(sealed(with_sensor(manifest, self.sensor), SEAL))
-            file.flush()
-            os.fsync(file.fileno())
+        write_text(self._folder / MANIFEST, sealed(with_sensor(manifest, self.sensor), SEAL))
 
 
 @dataclass(frozen=True)

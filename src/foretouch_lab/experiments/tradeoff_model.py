@@ -11,7 +11,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.estimator import Estimate
+from foretouch.models.predictor import Estimate
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import History, TouchModel
 from foretouch.models.tracker import SensorTracker
@@ -60,12 +60,12 @@ def described(data: Dataset) -> tuple[ContactPredictor, dict[str, int]]:
     return predictor, {sample.id: k for k, sample in enumerate(samples)}
 
 
-class _MeanEstimator:
+class _MeanPredictor:
     """Predicts the mean of the training labels of a model for every grasp, and looks at no cloud."""
 
     def __init__(self, model: TouchModel) -> None:
         self.ranges = model.ranges
-        self._mean: Float64 = cast("ContactEstimator", model.estimator).mean
+        self._mean: Float64 = cast("ContactEstimator", model.predictor).mean
 
     def estimate(self, _: Cloud, grasps: Sequence[Grasp], _table: Plane | None = None) -> Estimate:
         """Return the mean for every grasp, as in the distribution of training."""
@@ -147,9 +147,9 @@ def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed
         return lambda count: np.tile(mean, (count, 1)), 1.0
     if readings:
         if name == _MEAN:
-            shipped = TouchModel(_MeanEstimator(shipped), shipped.card, shipped.calibration)
+            shipped = TouchModel(_MeanPredictor(shipped), shipped.card, shipped.calibration)
         return _after_reading(shipped, sample, grasps), 1.0
-    estimator = _reduced(cast("ContactEstimator", shipped.estimator), variant.values)
+    estimator = _reduced(cast("ContactEstimator", shipped.predictor), variant.values)
     return lambda count: estimator.estimate(sample.cloud, grasps[:count]).counts, 1.0
 
 
@@ -176,14 +176,14 @@ def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
 
 def _after_reading(model: TouchModel, sample: Sample, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
     """Return predictions right after one more reading of the hand, which is added to its history in each call."""
-    expected = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
+    expected = model.estimate(sample.cloud, [sample.grasp]).counts[0]
     reading, hand = labels_of([sample])[0], History(model)
     hand.start_object()
 
     def answer(count: int) -> Float64:
         now = hand.copy()
         now.tracker.add_touch(1, reading, expected)
-        estimate = model.estimator.estimate(sample.cloud, grasps[:count])
+        estimate = model.estimate(sample.cloud, grasps[:count])
         return now.snapshot(2, same_object=True).adapt(estimate)[0]
 
     return answer

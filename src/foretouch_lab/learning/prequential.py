@@ -230,7 +230,7 @@ def replay_model(model: TouchModel, samples: Sequence[Sample], history: Sequence
             estimate = model.estimate_executed(sample.cloud, [sample.grasp])
         except GraspError as err:
             raise ModelError(f"{sample.id}: {err}") from err
-        expected[k], known[k] = estimate.counts[0], estimate.in_distribution[0]
+        expected[k], known[k] = estimate.counts[0], estimate.known[0]
         where.append(estimate.where)
     recording = TimedReadings.of_samples(ordered, readings, expected, model.calibration.rest, known).ordered()
     described = [features for features in where if features is not None]

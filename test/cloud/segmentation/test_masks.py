@@ -91,6 +91,15 @@ def test_bad_masks_are_refused_by_name(cloud, labels):
     assert off.status in ("no_object", "no_plane")
 
 
+def test_masked_pixels_of_a_mask_are_no_object(cloud, labels):
+    half = np.arange(labels.shape[1]) > np.median(np.nonzero(labels)[1])
+    part = np.where(half, 0, labels)
+    hidden = np.broadcast_to(half, labels.shape)
+    scenes = [segment_mask(cloud, mask, CONFIG) for mask in (part, np.ma.masked_array(labels, hidden))]
+    assert scenes[0].counts == scenes[1].counts
+    np.testing.assert_array_equal(scenes[0].labels, scenes[1].labels)
+
+
 def test_255_labels_are_255_objects_or_named(cloud, labels):
     rows, columns = np.indices(labels.shape)
     tiles = (rows // 30 * 16 + columns // 40) % 255 + 1
@@ -103,13 +112,16 @@ def test_255_labels_are_255_objects_or_named(cloud, labels):
 @pytest.mark.real_data
 def test_real_images_have_as_many_objects_as_labels_and_grasps_only_on_them(real_data: Path):
     images = sorted((real_data / "real_scenes").glob("*.npz"))
-    assert len(images) == 18
+    assert len(images) == 27
     pipeline = Pipeline(PipelineConfig.from_mapping({"target": {"mode": "all", "max_objects": 100}}))
 
     def check(path: Path) -> None:
         with np.load(path) as image:
             cloud, mask = Cloud.from_depth(image["depth_mm"], image["K"]), image["label"]
         scene = pipeline.segment(cloud, mask=mask)
+        if scene.status == "doubtful_plane":  # a pile without floor
+            doubtful.append(path)
+            return
         assert {object_.id for object_ in scene.objects} == {str(label) for label in np.unique(mask[mask > 0])}
         for target in scene.targets:
             assert (mask.ravel()[target.pixels] == int(target.id)).all()
@@ -118,4 +130,6 @@ def test_real_images_have_as_many_objects_as_labels_and_grasps_only_on_them(real
                 assert away < 0.08
                 assert grasp.object_id == target.id
 
+    doubtful: list[Path] = []
     every_case([(path,) for path in images], check)
+    assert len(doubtful) <= 1

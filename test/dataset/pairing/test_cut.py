@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The touch of a grasp against the stream that it was cut from."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,10 +11,11 @@ from every_case import every_case
 from pair_builders import PERIOD, REST, SECOND, interval, level, stream
 
 from foretouch.dataset.pairing.buffers import TouchBuffer
-from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, cut_touch
+from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, SeriesLabel, cut_touch, label_series
 from foretouch.tactile.messages.table import TactileReading
 from foretouch.types import APPROACH, HOLD
 from foretouch.types import REST as REST_PHASE
+from foretouch.types.channels import Channel, Channels
 from foretouch_lab.simulation.message_faults import FaultConfig
 
 CONFIG = PairingConfig()
@@ -113,3 +116,86 @@ def test_absent_and_frozen_sensors_are_refused_idle_and_repeating_ones_flagged()
     cut = cut_touch(filled([r for r in stream(1) for _ in range(2)]), when, CONFIG)  # each stamp twice
     assert cut.flags == ("duplicate_stamps",)
     assert len(cut.series.counts) == 2 * len(cut_touch(filled(stream(1)), when, CONFIG).series.counts)
+
+
+def test_stamps_of_zero_are_told() -> None:
+    readings = [replace(reading, stamp_ns=0) for reading in stream(1)]
+    with pytest.raises(PairingError, match="the stamps of all readings are 0, which their driver does not set"):
+        cut_touch(filled(readings), interval(0), CONFIG)
+
+
+PADS = Channels("pads", "", ("left", "right"), (Channel("P", 4, "counts", 0.0, 4095.0, 1, True, 0.0, 1.0),))
+HZ = 50
+
+
+def labelled(
+    course: Callable[[Any], Any], *, right: Callable[[Any], Any] | None = None, count: int = 200
+) -> SeriesLabel:
+    """The label of a course over time [s] of the taxels of both fingers, of which the first 0.8 s are given as rest."""
+    rng, times = np.random.default_rng(0), np.arange(count) / HZ
+    both = [course(times), (right or course)(times)]
+    counts = np.concatenate([1000.0 + own[:, None] + rng.normal(0.0, 3.0, (count, 4)) for own in both], axis=1)
+    return label_series((times * SECOND).astype(np.int64), counts.round(), 40, PADS)
+
+
+def step(times: Any, begin: float = 1.2, end: float = 9.0, height: float = 200.0) -> Any:
+    return height * ((times >= begin) & (times < end))
+
+
+def test_contact_is_what_lasts_after_the_rest() -> None:
+    cases: dict[
+        str, tuple[Callable[[Any], Any], float, float]
+    ] = {  # its course, when contact begins [s], and the change
+        "a contact": (step, 1.2, 200.0),
+        "a glitch in the rest": (lambda t: step(t) + step(t, 0.2, 0.26, 3000.0), 1.2, 200.0),
+        "lost packets before": (lambda t: step(t) - step(t, 0.9, 0.96, 1000.0), 1.2, 200.0),
+        "a slow press": (lambda t: 300.0 * np.clip(t - 1.0, 0.0, 1.0), 1.04, 300.0),
+        "a touch that relaxes": (lambda t: step(t) * (1.0 + 0.5 * np.exp(-np.maximum(t - 1.2, 0.0))), 1.2, 220.0),
+        "a drift before": (lambda t: 5.0 * np.maximum(t - 0.8, 0.0) + step(t, 2.0, height=300.0), 2.0, 312.0),
+    }
+
+    def check(course: Callable[[Any], Any], begin: float, change: float) -> None:
+        label = labelled(course)
+        assert label.touch is not None
+        assert label.contact_ns is not None
+        assert abs(label.contact_ns / SECOND - begin) <= 0.06
+        np.testing.assert_allclose(label.touch.values, 1000.0 + change, atol=15.0)
+        np.testing.assert_allclose(label.tare.values, 1000.0, atol=4.0)
+        assert dict(label.flags) == {}
+
+    every_case(cases, check)
+
+
+def test_what_is_no_steady_contact_is_flagged_or_no_touch() -> None:
+    def check(course: Callable[[Any], Any], *flags: str, has_touch: bool) -> None:
+        label = labelled(course)
+        assert {*label.flags} == {f"{flag}_{finger}" for flag in flags for finger in PADS.fingers}
+        assert (label.touch is not None) is has_touch
+
+    check(lambda t: 0.0 * t, "no_contact", has_touch=False)
+    check(lambda t: 1.0 * t, "no_contact", has_touch=False)  # within the noise
+    check(lambda t: 5.0 * t, "no_contact", "drift", has_touch=False)
+    check(lambda t: 100.0 * (1.0 - np.exp(-t)), "no_contact", "drift", has_touch=False)
+    check(lambda t: 100.0 * np.maximum(t - 0.8, 0.0), "drift", has_touch=True)
+    check(lambda t: step(t, 1.2, 1.4), "no_contact", has_touch=False)  # a tap
+    check(lambda t: step(t, 1.2, 1.8) + step(t, 2.4), "several_contacts", has_touch=True)
+    one = labelled(step, right=lambda t: 0.0 * t)
+    assert dict(one.flags) == {"no_contact_right": "right is not in contact"}
+    assert one.touch is not None
+
+
+def test_readings_that_are_no_rest_are_refused() -> None:
+    with pytest.raises(PairingError, match="something was touched before") as caught:
+        labelled(lambda t: step(t, 0.4))
+    assert caught.value.reason == "restless_tare"
+    with pytest.raises(PairingError, match=r"4 readings of rest before the grasp, fewer than 5") as caught:
+        label_series(np.arange(9), np.ones((9, 8)), 4, PADS)
+    assert caught.value.reason == "no_tare"
+
+
+def test_zero_of_a_sensor_without_a_measured_rest_is_not_frozen() -> None:
+    force = replace(PADS, channels=(replace(PADS.channels[0], tared=False, noise=0.01, resolution=0.0),))
+    counts = np.zeros((100, 8))
+    counts[50:, :4] = np.random.default_rng(0).normal(3.0, 0.1, (50, 4))
+    label = label_series(np.arange(100) * PERIOD, counts, 40, force)
+    assert {*label.flags} == {"no_contact_right"}

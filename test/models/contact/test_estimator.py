@@ -51,7 +51,7 @@ def test_forests_predict_known_objects_the_gain_of_the_kernel_new_ones_and_a_ble
         found = replace(with_span(estimator, low, high), generalisation_gain=gain).estimate(cloud, [grasp])
         wanted = (share * forests + (1.0 - share) * kernel) * estimator.deviation + estimator.mean
         assert_allclose(found.counts, wanted, rtol=1e-9)
-        assert found.in_distribution.tolist() == [share >= 0.5]
+        assert found.familiar.tolist() == [share >= 0.5]
 
     every_case([0.0, 0.25, 0.51, 0.75, 1.0], check)
 
@@ -97,11 +97,11 @@ def test_what_training_never_covered_is_unfamiliar(estimator) -> None:
         places = {"half the range": -0.55 * centre, "far away": 1.5 * centre}
         for name, shift in places.items():
             grasp = moved(sample.grasp, np.eye(3), shift.astype(np.float64))
-            flagged[name] += not estimator.estimate(Cloud(xyz + shift), [grasp]).in_distribution[0]
+            flagged[name] += not estimator.estimate(Cloud(xyz + shift), [grasp]).familiar[0]
         few = Cloud(xyz[np.random.default_rng(0).permutation(len(xyz))[: len(xyz) // 10]])
-        flagged["few points"] += not estimator.estimate(few, [sample.grasp]).in_distribution[0]
-        flagged["another approach"] += not estimator.estimate(*turned_by(80.0, sample)).in_distribution[0]
-        flagged["as trained"] += not estimator.estimate(sample.cloud, [sample.grasp]).in_distribution[0]
+        flagged["few points"] += not estimator.estimate(few, [sample.grasp]).familiar[0]
+        flagged["another approach"] += not estimator.estimate(*turned_by(80.0, sample)).familiar[0]
+        flagged["as trained"] += not estimator.estimate(sample.cloud, [sample.grasp]).familiar[0]
     assert flagged.pop("as trained") <= 2
     assert (
         flagged.pop("half the range") + flagged.pop("far away") <= 4

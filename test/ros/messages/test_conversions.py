@@ -128,6 +128,7 @@ def test_a_grasp_that_cannot_be_used_is_refused_by_name():
     every_case(cases, check)
     message = grasp_to_msg(UNIT)
     assert has_orientation(message)
+    assert not has_orientation(GraspMsg())  # w = 1
     message.rotation, message.pose.orientation.w = np.zeros(9), 0.0
     assert not has_orientation(message)
     with pytest.raises(GraspError, match="no orientation"):
@@ -177,7 +178,8 @@ def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
     refused = touch_message(refusal("bad_grasp", "g1: is not finite"), bad, HEADER)
     lines = answer_record(TouchPredictionArray(header=HEADER, predictions=[good, strange, refused]))["predictions"]
     assert (lines[0]["status"], lines[0]["object"]) == ("ok", "3")
-    assert lines[1:] == [
-        {"object": "3", "status": "failed", "reason": reason},
-        {"object": "3", "status": "bad_grasp", "reason": "g1: is not finite"},
+    assert lines[1] == {"object": "3", "status": "failed", "reason": reason}
+    assert lines[2]["PDC_TH"] == {"value": None, "lower": None, "upper": None}
+    assert [lines[2][name] for name in ("object", "grasp", "status", "reason")] == [
+        *("3", None, "bad_grasp", "g1: is not finite")
     ]

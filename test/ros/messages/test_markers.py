@@ -13,6 +13,7 @@ from foretouch.grasp.pose import fingertip_rotation
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import object_to_msg
 from foretouch.ros.messages.markers import object_markers, touch_markers
+from foretouch.ros.messages.placement import Placement
 from foretouch.tactile import P2_RANGES, Ranges, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.taxel_view import TaxelView
@@ -123,7 +124,9 @@ def test_a_dead_taxel_is_grey_and_others_are_coloured_by_their_change_from_rest(
 
 def test_boxes_enclose_their_objects(scene_cloud):
     found = Pipeline().segment(scene_cloud()).objects
-    message = ObjectArray(header=HEADER, objects=[object_to_msg(one, target=one.id == "1") for one in found])
+    message = ObjectArray(
+        header=HEADER, objects=[object_to_msg(one, Placement(HEADER), target=one.id == "1") for one in found]
+    )
     outline = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [0.5, 0.5, 1.0]], np.float32)
     table = TablePlane(header=HEADER, outline=outline.ravel())
     markers = by_name(object_markers(message, table))

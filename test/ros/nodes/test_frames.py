@@ -10,11 +10,12 @@ from numpy.testing import assert_allclose
 from sensor_msgs.msg import PointCloud2
 
 from foretouch import reading
+from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg
 from foretouch.types import Plane
-from foretouch_msgs.msg import GraspArray, Status, TablePlane, TouchPredictionArray
+from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
@@ -77,6 +78,10 @@ def test_a_header_stands_for_the_latest_object_and_a_frame_that_nobody_knows_is_
     assert_allclose(
         reading(answer.predictions[0])["PDC"].value, reading(expected.predictions[0])["PDC"].value, rtol=1e-6
     )
+    (typed,) = ask(graph, grasps=[Grasp(g1=grasps[0].g1, g2=grasps[0].g2)]).predictions  # without a header, w = 1
+    assert (typed.status, typed.header) == (Status.OK, own.header)
+    expected_turn = hand_rotation(plan[0].g1, plan[0].g2, object_axis(target.cloud, target.plane, GeoGraspConfig())[0])
+    assert_allclose(typed.grasp.rotation, expected_turn.ravel(), atol=1e-12)
     latest.header.frame_id = "world"
     answer = ask(graph, cloud=latest, grasps=grasps)
     assert answer.status == Status.UNKNOWN_FRAME

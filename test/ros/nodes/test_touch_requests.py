@@ -80,7 +80,11 @@ def test_a_request_or_grasp_that_cannot_be_answered_is_refused_with_the_reason_a
         ("holds no plane", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.zeros(4))),
         ("farther away than 1000 m", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", [0.0, 0.0, 1.0, 1e20])),
         ("is not 1", Status.BAD_GRASP, lambda r: setattr(r.grasps[0].pose.orientation, "x", 1e160)),
-        ("degrees from g1 - g2, more than 30", Status.BAD_GRASP, lambda r: oriented(r.grasps[0], Quaternion())),
+        (
+            "degrees from g1 - g2, more than 30",
+            Status.BAD_GRASP,
+            lambda r: oriented(r.grasps[0], Quaternion(x=1.0, w=0.0)),
+        ),
         ("'77' is not one of", Status.BAD_GRASP, lambda r: setattr(r.grasps[0], "object_id", "77")),
         ("1e+160 m apart, more than max_width_m 0.2", Status.BAD_GRASP, far_without_orientation),
         ("", Status.TOO_FEW_POINTS, one_place),
@@ -167,7 +171,11 @@ def test_arrays_that_cannot_be_answered_are_refused_with_the_reason(planner):
         ("'77' is not one of", Status.BAD_GRASP, lambda r: setattr(r, "object_id", "77")),
         ("is not a rotation", Status.BAD_GRASP, lambda r: setattr(r, "rotations", [0.5] * 9)),
         ("is not finite", Status.BAD_GRASP, lambda r: setattr(r, "contacts", [math.nan] * 6)),
-        ("x is missing", Status.BAD_CLOUD, lambda r: setattr(r, "cloud", PointCloud2())),
+        (
+            "no object_cloud with a table was received yet",
+            Status.EMPTY_CLOUD,
+            lambda r: setattr(r, "cloud", PointCloud2()),
+        ),
         ("", Status.OK, lambda _: None),
     ]
     every_case(cases, check)

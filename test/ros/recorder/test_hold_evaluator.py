@@ -9,10 +9,10 @@ import pytest
 from robot_builders import RecordedRobot, start
 from scipy.optimize import minimize
 
-from foretouch.dataset.pairing.matcher import SETTLE_NS
 from foretouch.models.touch_hold import load_touch_hold
 from foretouch.ros.recorder.hold_evaluator import HoldEvaluator
 from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.contact_detector import SETTLE_NS
 from foretouch.tactile.description import packaged_sensor
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import Status, TouchHold

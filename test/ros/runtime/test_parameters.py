@@ -3,7 +3,9 @@ from dataclasses import dataclass
 
 import pytest
 from every_case import every_case
-from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import Parameter as ParameterMsg
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -45,6 +47,34 @@ def test_every_setting_becomes_a_parameter_with_its_facts(node):
     assert (depth.integer_range[0].from_value, depth.integer_range[0].to_value) == (1, 9)
     assert node.describe_parameter("fixed").read_only
     assert "a, b" in node.describe_parameter("word").additional_constraints
+
+
+def test_what_a_node_does_not_know_is_refused_by_name_and_the_rest_of_a_request_is_set(graph):
+    (node,) = graph.add("segmentation")
+    doubles = {
+        "silence_s": (3, 7.0),
+        "click_age": (3, 1.0),
+        "mask_wait_s": (77, 1.0),
+    }  # rclpy itself would raise for 77
+    parameters = [
+        ParameterMsg(name=name, value=ParameterValue(type=kind, double_value=value))
+        for name, (kind, value) in doubles.items()
+    ]
+    request = SetParameters.Request(parameters=parameters)
+    results = graph.call(SetParameters, "segmentation/set_parameters", request).results
+    reasons = [
+        "",
+        "click_age: /foretouch/segmentation has no such parameter; did you mean click_age_s?",
+        "mask_wait_s: type 77 is not one of rcl_interfaces/ParameterType",
+    ]
+    assert [(one.successful, one.reason) for one in results] == [(not reason, reason) for reason in reasons]
+    assert node.config.silence_s == 7.0
+    together = SetParametersAtomically.Request(
+        parameters=[ParameterMsg(name="silence_s", value=ParameterValue(type=3, double_value=9.0)), *parameters[1:]]
+    )
+    result = graph.call(SetParametersAtomically, "segmentation/set_parameters_atomically", together).result
+    assert (result.successful, result.reason, node.config.silence_s) == (False, reasons[1], 7.0)
+    assert not node.internal_errors.counts()  # the error is the sender's
 
 
 def test_a_valid_change_is_accepted_and_passed_on_as_a_whole(node):

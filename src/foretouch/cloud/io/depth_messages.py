@@ -7,13 +7,14 @@
 - `sensor_msgs/CameraInfo`, and which of them belongs to an image (`CameraInfos`).
 """
 
-import io
+import re
 import struct
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
+from foretouch.cloud.io.images import check_size, decode_image
 from foretouch.errors import CalibrationError, CloudError, shown
 from foretouch.kernels import Kernel
 from foretouch.types import AnyArray, Cloud, Float32, UInt8, stamp_ns
@@ -24,9 +25,10 @@ _decode_rvl = Kernel("decode_rvl")
 ENCODINGS: Final = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 """Encodings of depth images, with the type of a pixel."""
 
-_LARGEST: Final = 4096 * 4096  # pixels of an image
-_PNG: Final = b"\x89PNG\r\n\x1a\n"
+_PNG: Final = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 _HEADER: Final = 12  # bytes before the data of a compressed image
+_UNDONE: Final = (*MODELS, "brown_conrady", "radtan")  # names of RealSense and Kalibr for `plumb_bob`
+_FISHEYES: Final = ("equidistant", "equi", "fisheye", "kannala_brandt4")
 _MOST: Final = 32  # frames and sizes that are remembered
 _PATIENCE_S: Final = 3.0  # without a camera info until that is an error, and between infos of two publishers
 
@@ -61,7 +63,7 @@ def image_pixels(message: Any, pixel: str) -> AnyArray:
     height = message.height
     width = message.width
     step = message.step
-    _check_size(height, width)
+    check_size(height, width)
     if step < width * kind.itemsize:
         raise CloudError(f"step: {step} bytes is less than a row of {width} x {kind.itemsize}")
     data = _bytes(message.data)
@@ -93,28 +95,28 @@ def _compressed(message: Any) -> AnyArray:
 
 
 def _from_png(data: UInt8) -> AnyArray:
-    """Return a greyscale PNG of 16 bits; its size is checked before anything is decoded."""
+    """Return a greyscale PNG of 16 bits; the header that the decoder goes by decides about its size, before anything is unpacked."""
     head = data[:26].tobytes()
     if len(head) < 26 or not head.startswith(_PNG):
-        raise CloudError("data: is no PNG")
+        raise CloudError("data: is no PNG that begins with its header")
     width, height, bits, colour = struct.unpack_from(">2I2B", head, 16)
-    _check_size(height, width)
+    check_size(height, width)
     if (bits, colour) != (16, 0):
         raise CloudError(f"data: a PNG of {bits} bits and colour type {colour} is not one of 16 bits in grey")
-    from PIL import Image, UnidentifiedImageError
-
     try:
-        with Image.open(io.BytesIO(data.tobytes()), formats=["PNG"]) as image:
-            return np.asarray(image).astype(np.uint16, copy=False)
-    except (OSError, SyntaxError, ValueError, EOFError, UnidentifiedImageError) as err:
-        raise CloudError(f"data: the PNG is truncated or damaged: {err}") from err
+        numbers = decode_image(data.tobytes())
+    except CloudError as err:
+        raise CloudError(f"data: the PNG {err}") from err
+    if numbers.shape != (height, width):
+        raise CloudError(f"data: the PNG is damaged: its pixels are {numbers.shape}, its header says {width}x{height}")
+    return numbers.astype(np.uint16, copy=False)
 
 
 def _from_rvl(data: UInt8) -> AnyArray:
     if data.size < 8 or data.size % 4:
         raise CloudError(f"data: the RVL is truncated: {data.size} bytes are not whole words")
     width, height = struct.unpack("<2I", data[:8].tobytes())
-    _check_size(height, width)
+    check_size(height, width)
     depth, decoded = np.empty((height, width), np.uint16), np.empty(1, np.int64)
     _decode_rvl(data[8:], data.size // 4 - 2, depth.size, depth, decoded)
     if decoded[0] != depth.size:
@@ -126,11 +128,6 @@ def _pixel(encoding: str) -> str:
     if encoding not in ENCODINGS:
         raise CloudError(f"encoding: {shown(encoding)!r} is no depth image: {', '.join(ENCODINGS)} are")
     return ENCODINGS[encoding]
-
-
-def _check_size(height: int, width: int) -> None:
-    if not (height > 0 and width > 0 and height * width <= _LARGEST):
-        raise CloudError(f"size: {width}x{height} is not between one pixel and {_LARGEST}")
 
 
 def _bytes(data: Any) -> UInt8:
@@ -190,7 +187,8 @@ def _either(info: Any, name: str) -> Any:
 
 def _check_model(model: str, coefficients: AnyArray) -> None:
     """Refuse a distortion that is not OpenCV's; of a model without coefficients only a fisheye bends the rays."""
-    if model in MODELS or (not coefficients.any() and model not in {"equidistant", "fisheye"}):
+    name = re.sub(r"[ -]", "_", model.rpartition(".")[2].lower())
+    if name in _UNDONE or (not coefficients.any() and name not in _FISHEYES):
         return
     raise CloudError(
         f"camera_info: distortion_model {shown(model)!r} cannot be undone, only {' and '.join(MODELS)}: "
@@ -215,11 +213,23 @@ class CameraInfos:
 
     Args:
         topic: Where the images come from; it names them in messages, and says whether they are rectified.
+        infos: Topic of the infos; by default `camera_info` beside.
+        rectified: Whether the images are rectified, whatever the name of their topic.
+        scale: Metres per unit of the images; by default that of their encoding.
     """
 
-    def __init__(self, topic: str = "depth/image") -> None:
+    def __init__(
+        self,
+        topic: str = "depth/image",
+        infos: str | None = None,
+        *,
+        rectified: bool | None = None,
+        scale: float | None = None,
+    ) -> None:
         self.topic = topic
-        self._rectified = is_rectified(topic)
+        self._infos = infos or info_topic(topic)
+        self._rectified = is_rectified(topic) if rectified is None else rectified
+        self._scale = scale
         self._known: dict[tuple[str, int, int], _Known] = {}
         self._missing_s: float | None = None  # of the first image without an info
 
@@ -251,7 +261,7 @@ class CameraInfos:
         if known.before == camera and now_s - known.before_s < _PATIENCE_S:
             was_told, new.alternates_s = _alternates(known, now_s), now_s
             return "" if was_told else self._two(place)
-        return f"{info_topic(self.topic)}: the camera of {_named(place)} changed to {camera}"
+        return f"{self._infos}: the camera of {_named(place)} changed to {camera}"
 
     def cloud(self, message: Any, now_s: float) -> Cloud:
         """Make the cloud of a depth message, raw or compressed, with the frame and stamp of its header.
@@ -266,7 +276,7 @@ class CameraInfos:
         """
         depth, frame_id = decode_depth(message), message.header.frame_id
         camera = self.camera(frame_id, (depth.shape[0], depth.shape[1]), now_s)
-        return Cloud.from_depth(depth, camera, frame_id=frame_id, stamp_ns=stamp_ns(message.header.stamp))
+        return Cloud.from_depth(depth, camera, self._scale, frame_id=frame_id, stamp_ns=stamp_ns(message.header.stamp))
 
     def camera(self, frame_id: str, shape: tuple[int, int], now_s: float) -> CameraModel:
         """Find the camera of an image.
@@ -294,7 +304,7 @@ class CameraInfos:
     def _missing(self, place: tuple[str, int, int], now_s: float) -> CalibrationError:
         if self._missing_s is None:
             self._missing_s = now_s
-        info, image = info_topic(self.topic), f"an image of {_named(place)}"
+        info, image = self._infos, f"an image of {_named(place)}"
         for reason, same in (("other_size", slice(0, 1)), ("other_frame", slice(1, 3))):
             others = [_named(other) for other in self._known if other[same] == place[same]]
             if others:
@@ -305,9 +315,7 @@ class CameraInfos:
         return CalibrationError(f"{info}: {waited}, for {image}{there}", reason)
 
     def _two(self, place: tuple[str, int, int]) -> str:
-        return (
-            f"{info_topic(self.topic)}: two different infos of {_named(place)} alternate: does it have two publishers?"
-        )
+        return f"{self._infos}: two different infos of {_named(place)} alternate: does it have two publishers?"
 
 
 def _alternates(known: _Known, now_s: float) -> bool:

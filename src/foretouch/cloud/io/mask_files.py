@@ -1,84 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read images with a number a pixel, and the labels of a mask: from an image, an array of NumPy, or a `sensor_msgs/Image`."""
+"""Read the labels of a mask: from an image, an array of NumPy, or a `sensor_msgs/Image`."""
 
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
+from foretouch.cloud.io.arrays import array_names, read_array, read_arrays
 from foretouch.cloud.io.depth_messages import image_pixels
-from foretouch.errors import CloudError, FileError, described, none_of
-from foretouch.files import require_existing, system_errors
+from foretouch.cloud.io.images import IMAGE_SUFFIXES, read_image
+from foretouch.errors import CloudError, FileError, none_of, shown
+from foretouch.files import require_existing
 from foretouch.types import AnyArray
 
-MASK_SUFFIXES: Final = (".png", ".npy", ".npz", ".tif", ".tiff", ".bmp")
+MASK_SUFFIXES: Final = (*IMAGE_SUFFIXES, ".npy", ".npz")
 _ENCODINGS: Final = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2"}
 _NAMES: Final = ("mask", "label", "labels", "segmap")  # of the array in an .npz file
-_LIMIT: Final = 500_000_000  # bytes of an image
 
 
 def read_mask(path: str | Path) -> AnyArray:
     """Read a mask.
 
     Args:
-        path: An image with one number a pixel (8 or 16 bit grey, palette or black and white), a `.npy` file, or an `.npz`
-            file with an array `mask`, `label`, `labels` or `segmap`.
+        path: A PNG or TIFF with one number a pixel (8 or 16 bit grey, palette or black and white), a `.npy` file, or an
+            `.npz` file with an array `mask`, `label`, `labels` or `segmap`.
 
     Returns:
         (H, W) integers or bool; what they are is checked where they are used.
 
     Raises:
-        FileError: If it cannot be read, has colours, or holds objects of Python.
+        FileError: If it cannot be read, is damaged or too large, has colours, or holds objects of Python.
     """
     path = require_existing(path)
     suffix = path.suffix.lower()
     if suffix not in MASK_SUFFIXES:
         raise FileError(path, f"suffix: {none_of(suffix, MASK_SUFFIXES)}")
-    if suffix not in (".npy", ".npz"):
-        pixels = read_image(path, "mask")
-        if pixels.ndim != 2:
-            raise FileError(path, "mask: an image with colours; write one label a pixel (8 or 16 bit grey)")
-        return pixels
-    try:
-        with system_errors(path, "cannot be read"):
-            loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return loaded
-        with loaded:
-            names = [name for name in _NAMES if name in loaded.files]
-            if not names:
-                raise FileError(path, f"holds {', '.join(loaded.files) or 'no array'}, none of {', '.join(_NAMES)}")
-            array: AnyArray = loaded[names[0]]
-            return array
-    except (ValueError, EOFError, OSError) as err:
-        raise FileError(path, f"mask: cannot be read: {' '.join(str(err).split())}") from err
+    if suffix in (".npy", ".npz"):
+        try:
+            return read_array(path) if suffix == ".npy" else _archived(path)
+        except FileError as err:
+            raise FileError(path, f"cannot be read: {err.rule}", field="mask") from err
+    pixels = read_image(path, "mask")
+    if pixels.ndim != 2:
+        raise FileError(path, "mask: an image with colours; write one label a pixel (8 or 16 bit grey)")
+    return pixels
 
 
-def read_image(path: Path, field: str) -> AnyArray:
-    """Read the pixels of an image as they are stored.
-
-    Args:
-        path: The image.
-        field: What it is of, for the error message, such as `depth`.
-
-    Returns:
-        (H, W), or with colours (H, W, C).
-
-    Raises:
-        FileError: If it cannot be read, or holds several images.
-    """
-    from PIL import Image, UnidentifiedImageError
-
-    if path.stat().st_size > _LIMIT:
-        raise FileError(path, f"has more than {_LIMIT} bytes")
-    try:
-        with Image.open(path) as image:
-            count = int(getattr(image, "n_frames", 1))
-            if count > 1:
-                raise FileError(path, f"holds {count} images, not one", field=field)
-            return np.asarray(image)
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as err:
-        raise FileError(path, f"{field}: cannot be read: {described(err)}") from err
+def _archived(path: Path) -> AnyArray:
+    """Return the mask in an archive."""
+    there = array_names(path)
+    name = next((name for name in _NAMES if name in there), None)
+    if name is None:
+        raise FileError(path, f"holds {shown(', '.join(there)) or 'no array'}, none of {', '.join(_NAMES)}")
+    return read_arrays(path, [name], [])[name]
 
 
 def decode_mask(message: Any) -> AnyArray:

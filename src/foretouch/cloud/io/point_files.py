@@ -72,8 +72,8 @@ def read_pcd(path: Path) -> Cloud:
     return _to_cloud(records, _colours(records), height, width)
 
 
-def write_pcd(path: Path, cloud: Cloud) -> None:
-    """Write a binary PCD file: x, y, z as float32, and rgb packed into a fourth."""
+def pcd_bytes(cloud: Cloud) -> bytes:
+    """Return the content of a binary PCD file: x, y, z as float32, and rgb packed into a fourth."""
     layout = encode(cloud)
     count = len(layout.fields)
     header = (
@@ -82,7 +82,7 @@ def write_pcd(path: Path, cloud: Cloud) -> None:
         f"SIZE{' 4' * count}\nTYPE{' F' * count}\nCOUNT{' 1' * count}\nWIDTH {layout.width}\nHEIGHT {layout.height}\n"
         f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {cloud.size}\nDATA binary\n"
     )
-    path.write_bytes(header.encode("ascii") + layout.data.tobytes())
+    return header.encode("ascii") + bytes(layout.data.data)
 
 
 def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
@@ -200,8 +200,8 @@ def read_ply(path: Path) -> Cloud:
     return _to_cloud(records, rgb, *((rows, columns) if organised else (1, vertex.count)))
 
 
-def write_ply(path: Path, cloud: Cloud) -> None:
-    """Write a binary PLY file: x, y, z as float, and red, green, blue as uchar."""
+def ply_bytes(cloud: Cloud) -> bytes:
+    """Return the content of a binary PLY file: x, y, z as float, and red, green, blue as uchar."""
     parts: list[tuple[str, str]] = [(name, "<f4") for name in "xyz"]
     if cloud.rgb is not None:
         parts += [(name, "u1") for name in _COLOURS]
@@ -213,7 +213,7 @@ def write_ply(path: Path, cloud: Cloud) -> None:
         lines += [f"obj_info num_cols {cloud.xyz.shape[1]}", f"obj_info num_rows {cloud.xyz.shape[0]}"]
     lines.append(f"element vertex {cloud.size}")
     lines += [f"property {'float' if kind == '<f4' else 'uchar'} {name}" for name, kind in parts]
-    path.write_bytes("\n".join([*lines, "end_header", ""]).encode("ascii") + records.tobytes())
+    return "\n".join([*lines, "end_header", ""]).encode("ascii") + records.tobytes()
 
 
 @dataclass(frozen=True)

@@ -27,18 +27,23 @@ REASONS = ("", ENTERS, "beyond_table", "floating", "wall")
 _LIMITS = {"level": 0.006, "below": 0.03, "foot": 0.03, "flat": 0.01, "border": 0.17}
 
 
-def find_background(grid: CoarseGrid, windows: Sequence[Clusters], threshold: HeightThreshold) -> tuple[Int64, Float64]:
+def find_background(
+    grid: CoarseGrid, windows: Sequence[Clusters], threshold: HeightThreshold, *, hidden: bool = False
+) -> tuple[Int64, Float64]:
     """Find why parts are background.
 
     Args:
         grid: Coarse grid of the image.
         windows: Labelled windows of the image.
         threshold: The table, and the noise of the depth.
+        hidden: The table is not seen: it has no outline, and nothing is background.
 
     Returns:
         The index in `REASONS` of each label, counted on from one window to the next, and the (n, 3) outline of the table [m],
         empty if it is not seen.
     """
+    if hidden:
+        return np.zeros(1 + sum(window.n_labels for window in windows), np.int64), np.empty((0, 3))
     (h, w), plane = grid.points.shape[:2], threshold.plane.coefficients
     labels, count = np.zeros((h, w), np.int32), 1
     for window in windows:

@@ -47,7 +47,7 @@ def segment_mask(cloud: Cloud, mask: npt.ArrayLike, config: SegmentationConfig) 
     counts = rest.counts | dict.fromkeys(("mask_no_depth", "mask_table", "mask_apart", "mask_rejected"), 0)
     counts |= {"mask": int(np.count_nonzero(masked)), "n_rejected": 0, "objects": 0}
     empty = replace(rest, cloud=cloud, objects=(), labels=np.zeros_like(labels), counts=counts)
-    if rest.table is None:
+    if rest.table is None or rest.status == "doubtful_plane":
         return replace(empty, reason=f"{rest.reason} (in the image without the mask)")
     depth = in_range(cloud.xyz[..., 2], config.crop) & np.isfinite(cloud.xyz).all(axis=2)
     above = _above(cloud.xyz, depth & ~masked, rest.table, config.clusters.min_height_m)
@@ -87,7 +87,10 @@ def segment_mask(cloud: Cloud, mask: npt.ArrayLike, config: SegmentationConfig) 
 
 def _checked(mask: npt.ArrayLike, cloud: Cloud) -> Int32:
     """Return (H, W) int32 labels of a mask that fits the image."""
-    labels = np.asarray(mask)
+    try:
+        labels = np.asarray(np.ma.filled(mask, 0))  # masked pixels are no object
+    except ValueError as err:
+        raise CloudError(f"mask: {err}") from err
     if not cloud.organised:
         raise CloudError(
             f"mask: the cloud is a list of {cloud.size} points; a mask needs an image, such as of Cloud.from_depth"

@@ -28,7 +28,7 @@ _REFIT = 4096  # points of the final fit
 _BATCH = 64  # hypotheses scored at once
 _Rows = Index | slice
 
-TableMode = Literal["largest", "nearest", "point"]
+TableMode = Literal["largest", "nearest", "point", "given"]
 
 _MISS = 1e-4  # accepted probability that no sample of three was on the plane
 _MIN_PEAK = 0.6  # of the points within three thresholds, within one: a blob has 0.3 to 0.5, a table almost 1
@@ -39,9 +39,6 @@ _FULL_REACH_M = (
 )
 _THINNER = (1.0, 0.5, 0.25)  # of the threshold: a table full of things stands out in a thinner slab only
 _LEAST_REACH_M = 0.002  # threshold of all
-_ABOVE_M, _PARALLEL = 0.1, math.cos(math.radians(15.0))  # a table stands above the floor, and level
-_WIDE_M = 0.6 / math.sqrt(12.0)  # standard deviation of points along .6 m, which no object exceeds
-_MOST_PLANES = 6
 _SEED = 0  # of the samples: the same points give the same plane
 
 
@@ -51,23 +48,35 @@ class PlaneConfig(Settings):
 
     table: TableMode = setting(
         "largest",
-        "The plane with most points, or a wide one above it that carries things; the nearest to the camera; or the one at a point",
+        "The plane with most points, but for walls, rims and floors (see segmentation); the nearest to the camera; the one at a point; or the given one",
         choices=get_args(TableMode),
     )
     point: tuple[float, ...] = setting((), "x, y, z on the table for table point, in the cloud's frame", unit="m")
+    coefficients: tuple[float, ...] = setting(
+        (), "a, b, c, d of the plane ax+by+cz+d=0 for table given, in the cloud's frame", unit="m"
+    )
     threshold_m: float = setting(
         0.01,
         "Points closer than this belong to a plane; nearer than 0.6 m less, with the square of the depth",
         bounds=(0.001, 0.1),
     )
     min_fraction: float = setting(0.2, "Minimum fraction of the points on the table", bounds=(0.01, 1.0))
+    max_noise_m: float = setting(
+        0.01,
+        "The table is doubted if its points deviate from it by more, as 2.5 standard deviations: what is lower is not seen",
+        bounds=(0.001, 0.1),
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.point) != 3 * (self.table == "point"):
-            raise ConfigError(
-                f"point: {len(self.point)} numbers: table point needs x, y, z, and table {self.table} none"
-            )
+        for name, values, mode, wanted in (
+            ("point", self.point, "point", "x, y, z"),
+            ("coefficients", self.coefficients, "given", "a, b, c, d"),
+        ):
+            if len(values) != len(wanted.split()) * (self.table == mode):
+                raise ConfigError(
+                    f"{name}: {len(values)} numbers: table {mode} needs {wanted}, and table {self.table} {'them' if self.table == mode else 'none'}"
+                )
 
 
 PlaneFit = tuple[Plane | None, float, str]
@@ -103,55 +112,6 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
         if fits[-1][0] is not None:
             return fits[-1]
     return fits[0]
-
-
-def find_table(xyz: Float32, config: PlaneConfig) -> PlaneFit:
-    """Fit the plane that carries the objects, by the rule of `PlaneConfig.table`.
-
-    Args:
-        xyz: (N, 3) float32 [m], finite, camera optical frame.
-        config: The rule and thresholds; the same input gives bit-equal results.
-
-    Returns:
-        The fit, or the reason why there is none (see `fit_plane`).
-    """
-    first = fit_plane(xyz, config)
-    if first[0] is None:
-        return first
-    if config.table == "largest":
-        return _wide_above(xyz, first, config)
-    fits, rest = [first], xyz
-    while (plane := fits[-1][0]) is not None and len(fits) < _MOST_PLANES:
-        rest = rest[np.abs(rest @ plane.normal + plane.offset) > 2.0 * config.threshold_m]
-        if len(rest) < config.min_fraction * len(xyz):
-            break
-        fits.append(fit_plane(rest, config))
-    if config.table == "point":
-        apart = [
-            abs(float(np.dot(plane.normal, config.point)) + plane.offset) for plane, *_ in fits if plane is not None
-        ]
-    else:
-        apart = [float(np.median(_near_points(xyz, plane, config)[:, 2])) for plane, *_ in fits if plane is not None]
-    return fits[int(np.argmin(apart))]
-
-
-def _wide_above(xyz: Float32, first: PlaneFit, config: PlaneConfig) -> PlaneFit:
-    """Return a plane above the first one, parallel to it and wider than an object, as a table above the floor; else the first."""
-    low = first[0]
-    if low is None:
-        return first
-    high = xyz[xyz @ low.normal + low.offset > _ABOVE_M]
-    if len(high) < config.min_fraction * len(xyz):
-        return first
-    second = fit_plane(high, config)
-    if second[0] is None or second[0].normal @ low.normal < _PARALLEL:
-        return first
-    wide = np.linalg.eigvalsh(np.cov(_near_points(high, second[0], config).T))[2] > _WIDE_M**2
-    return second if wide else first
-
-
-def _near_points(xyz: Float32, plane: Plane, config: PlaneConfig) -> Float32:
-    return xyz[np.abs(xyz @ plane.normal + plane.offset) < config.threshold_m]
 
 
 def _draw(n: int, rng: np.random.Generator) -> tuple[_Rows, _Rows, Index]:

@@ -29,8 +29,9 @@ from foretouch.cloud.segmentation.clusters import (
 )
 from foretouch.cloud.segmentation.objects import extract_objects
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters, split_list
-from foretouch.cloud.segmentation.plane import PlaneConfig, find_table
+from foretouch.cloud.segmentation.plane import PlaneConfig
 from foretouch.cloud.segmentation.rays import RayFilter, finite_rows, out_of_view, view_fault
+from foretouch.cloud.segmentation.table import find_table
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
@@ -40,7 +41,7 @@ from foretouch.types.cloud import DepthCloud
 from foretouch.types.scene import Object, Scene
 
 SegmentationStatus = Literal[
-    "ok", "empty_cloud", "bad_cloud", "too_few_points", "unknown_frame", "no_plane", "no_object"
+    "ok", "empty_cloud", "bad_cloud", "too_few_points", "unknown_frame", "no_plane", "doubtful_plane", "no_object"
 ]
 
 _count_range = Kernel("count_range")
@@ -166,19 +167,22 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
             fault = view_fault(counts["off_ray"], usable)
         if fault:
             return "bad_cloud", fault, None, *nothing, labels
-        plane, noise_per_m, reason = find_table(sample[finite_rows(sample)], config.plane)
+        plane, noise_per_m, reason = find_table(sample[finite_rows(sample)], config.plane, one_view=image)
     if plane is None:
         return "no_plane", reason, None, *nothing, labels
+    if reason:
+        return "doubtful_plane", reason, plane, *nothing, labels
     with timed(ms, "clusters"):
         limits = config.clusters
         threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M)
         if cloud.organised:
             grid = CoarseGrid(coarse, stride, pixel_pitch(coarse))
             windows = label_organised(xyz, grid, config.crop, threshold, limits, rays, write)
-            reasons, outline = find_background(grid, windows, threshold)
+            hidden = config.plane.table == "given" and noise_per_m == 0.0  # by a pile: the table has no outline
+            reasons, outline = find_background(grid, windows, threshold, hidden=hidden)
             windows, parts = split_clusters(xyz, windows, threshold, grid.pitch / stride, config.split, reasons, write)
             if parts["parts"]:
-                reasons, outline = find_background(grid, windows, threshold)
+                reasons, outline = find_background(grid, windows, threshold, hidden=hidden)
         else:
             reasons, outline = None, np.empty((0, 3))
             windows = label_unorganised(xyz, config.crop, threshold)

@@ -6,8 +6,11 @@ within `guard_s` of a change is used: the touch is the median over [contact + gu
 median over at most `tare_s` that end at start - guard. As long as the error of the clocks is below the guard, both
 intervals hold readings of the right kind only. A grasp is rejected if an interval has no reading for longer than
 `tolerance_s`, or if the clocks differ by more than `clock_s`.
+
+`label_series` has the rules for the readings themselves. The recorder, the import of bags and `foretouch.write` use them.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,15 +19,30 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchWindow
 from foretouch.errors import DatasetError
 from foretouch.tactile import touch_faults
-from foretouch.tactile.contact_detector import contact_scores, find_contact
+from foretouch.tactile.contact_detector import SETTLE_NS, SeriesContact, contact_scores, find_contact
 from foretouch.tactile.readings import rest_of
-from foretouch.types import APPROACH, HOLD, REST, SECOND_NS, Bool, Float32, Int64, Sample, Touch, TouchSeries, UInt8
+from foretouch.types import (
+    APPROACH,
+    HOLD,
+    REST,
+    SECOND_NS,
+    Bool,
+    Float64,
+    Floating,
+    Int64,
+    Sample,
+    Touch,
+    TouchSeries,
+    UInt8,
+)
 from foretouch.types.channels import Channels
 
 _FROZEN_S = 0.5  # the noisy values of a finger do not repeat together for so long
 _MIN_TARE_S = 0.1
 _HOLD_LEAST_S = 0.05  # shortest steady contact, without the margins
 _MIN_TARE_READINGS = 5
+_RAMP = 0.5  # of what contact changed; a reading that goes on to change by more while the hand holds drifts
+_DETECTOR = "change against the tare (foretouch.tactile.contact_detector)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,31 +121,102 @@ def cut_touch(
     window = buffer.between(tare_start, interval.release)
     hold, rest = buffer.between(low, high), buffer.between(tare_start, tare_end)
     if not len(hold):
-        raise PairingError("no_tactile", "no reading within the contact")
-    channels = buffer.channels
-    _require_tare(rest, tare_end - tare_start, channels)
+        raise PairingError("no_tactile", _without_readings(buffer))
+    if tare_end - tare_start < _ns(_MIN_TARE_S):
+        raise PairingError("no_tare", _too_short(len(rest), tare_end - tare_start))
+    require_rest(rest.counts, buffer.channels)
     error = max(_longest_gap_ns(hold, low, high), _longest_gap_ns(rest, tare_start, tare_end))
     if error > tolerance:
         raise PairingError("pairing_error", f"{_s(error)} without a reading, at most {_s(tolerance)} is tolerated")
     clock = _clock_offset_ns(window, config)
-    touch, tare = (Touch(np.median(part.counts, axis=0), channels) for part in (hold, rest))
-    _require_working(window, touch, tare)
-    onsets = find_contact(window.stamps_ns, window.counts, rest.counts, channels)
-    contact_ns = min((onset for onset in onsets if onset is not None), default=None)
+    held = (window.stamps_ns >= low) & (window.stamps_ns < high)
+    label = label_series(window.stamps_ns, window.counts, len(rest), buffer.channels, hold=held)
     extra = {"clock_offset_s": clock * 1e-9, **_medians(buffer, hold, ""), **_medians(buffer, rest, "tare_")}
     others = {name: window.others[:, k].copy() for k, name in enumerate(buffer.others)}
     return Sample(
         id="",
         object="",
-        touch=touch,
-        tare=rest_of(tare.values, channels),
+        touch=label.touch,
+        tare=label.tare,
         extra=extra,
         series=TouchSeries(window.stamps_ns, window.counts, _phases(window, interval), others),
-        contact_ns=contact_ns,
-        detector="" if contact_ns is None else "change against the tare (foretouch.tactile.contact_detector)",
+        contact_ns=label.contact_ns,
+        detector=label.detector,
         pairing_error_ns=error,
-        flags=_flags(window, onsets, channels),
+        flags=(*label.flags, *(["duplicate_stamps"] if (np.diff(window.stamps_ns) == 0).any() else [])),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class SeriesLabel:
+    """What a series of readings is labelled with."""
+
+    touch: Touch | None  # None without a steady contact
+    tare: Touch
+    contact_ns: int | None  # stamp of the first reading in contact [ns]
+    hold: Bool  # (T,) readings of which the touch is the median
+    flags: Mapping[str, str]  # what to look at, by flag, with its explanation
+
+    @property
+    def detector(self) -> str:
+        """How the contact was found; "" without one."""
+        return "" if self.contact_ns is None else _DETECTOR
+
+
+def label_series(
+    stamps_ns: Int64,
+    counts: Floating,
+    rest: int,
+    channels: Channels,
+    *,
+    hold: Bool | None = None,
+    complete: Floating | None = None,
+) -> SeriesLabel:
+    """Label the readings around one grasp: the same rules and flags whoever recorded them.
+
+    Args:
+        stamps_ns: (T,) int64 ascending stamps [ns].
+        counts: (T, D) readings, NaN for taxels that were not read.
+        rest: How many of them are without contact, at the beginning.
+        channels: What the D values are.
+        hold: (T,) readings in steady contact; by default those that the contact detector finds.
+        complete: (T, D) the readings with a number in the place of each NaN; by default there is none.
+
+    Raises:
+        PairingError: `no_tare`, `restless_tare`, `sensor_fault` or `frozen_sensor`.
+    """
+    whole = counts if complete is None else complete
+    require_rest(whole[:rest], channels)
+    contacts = find_contact(stamps_ns, whole, rest, channels)
+    onsets = [int(stamps_ns[contact.onset]) for contact in contacts if contact.onset is not None]
+    contact_ns = min(onsets, default=None)
+    if hold is None:
+        hold = np.zeros(len(stamps_ns), np.bool_)
+        for contact in contacts:
+            hold[slice(contact.onset or 0, contact.end)] = True
+        hold &= stamps_ns >= (contact_ns or 0) + SETTLE_NS
+    tare = Touch(_median(counts[:rest]), channels)
+    touch = Touch(_median(counts[hold]), channels) if hold.any() else None
+    _require_working(whole, touch, tare)
+    return SeriesLabel(
+        touch=touch,
+        tare=rest_of(tare.values, channels),
+        contact_ns=contact_ns,
+        hold=hold,
+        flags=_flags(stamps_ns, whole, hold, contacts, channels),
+    )
+
+
+def _median(rows: Floating) -> Float64:
+    """Return (D,) medians of (T, D) readings, of those that were read; NaN where none was."""
+    medians = np.full(rows.shape[1], np.nan)
+    read = ~np.isnan(rows)
+    if read.all():
+        medians[:] = np.median(rows, axis=0)
+    else:
+        some = read.any(axis=0)
+        medians[some] = np.nanmedian(rows[:, some], axis=0)
+    return medians
 
 
 def _phases(window: TouchWindow, interval: Interval) -> UInt8:
@@ -157,42 +246,73 @@ def _clock_offset_ns(window: TouchWindow, config: PairingConfig) -> int:
     raise PairingError("clock_offset", f"{text}, or a computer is overloaded" if least > 0 else text)
 
 
+def _without_readings(buffer: TouchBuffer) -> str:
+    """Return why there is no reading in the contact, as far as the stamps show it."""
+    if buffer.newest_ns == 0:
+        return "no reading within the contact: the stamps of all readings are 0, which their driver does not set"
+    return "no reading within the contact"
+
+
 def _longest_gap_ns(window: TouchWindow, low_ns: int, high_ns: int) -> int:
     """Return the longest time in [low, high] without a reading [ns]."""
     return int(np.diff(np.concatenate([[low_ns], window.stamps_ns, [high_ns]])).max())
 
 
-def _require_tare(rest: TouchWindow, length_ns: int, channels: Channels) -> None:
-    if length_ns < _ns(_MIN_TARE_S) or len(rest) < _MIN_TARE_READINGS:
-        raise PairingError("no_tare", f"{len(rest)} readings in {_s(max(0, length_ns))} of rest before the grasp")
-    half = len(rest) // 2
-    if (np.median(contact_scores(rest.counts[half:], rest.counts[:half], channels), axis=0) > 1.0).any():
+def require_rest(counts: Floating, channels: Channels) -> None:
+    """Refuse (R, D) readings that are no rest: `no_tare` if they are too few, `restless_tare` if something is touched in them."""
+    if len(counts) < _MIN_TARE_READINGS:
+        raise PairingError("no_tare", _too_short(len(counts)))
+    half = len(counts) // 2
+    if (np.median(contact_scores(counts[half:], counts[:half], channels), axis=0) > 1.0).any():
         raise PairingError("restless_tare", "something was touched before the grasp")
 
 
-def _require_working(window: TouchWindow, touch: Touch, tare: Touch) -> None:
+def _too_short(count: int, length_ns: int | None = None) -> str:
+    span = "" if length_ns is None else f" in {_s(max(0, length_ns))}"
+    return f"{count} readings{span} of rest before the grasp, fewer than {_MIN_TARE_READINGS} or {_MIN_TARE_S:g} s"
+
+
+def _require_working(counts: Floating, touch: Touch | None, tare: Touch) -> None:
     for name, reading in (("contact", touch), ("tare", tare)):
-        if faults := touch_faults(reading):
+        if reading is not None and (faults := touch_faults(reading)):
             raise PairingError("sensor_fault", f"{name}: {'; '.join(faults)}")
-    for finger, columns in touch.channels.finger_columns.items():
-        counts = window.counts[:, columns]
-        if (counts == counts[0]).all():
-            raise PairingError("frozen_sensor", f"{finger}: the same {len(counts)} times, through rest and contact")
+    for finger, columns in tare.channels.finger_columns.items():
+        own = counts[:, columns]
+        if (own == own[0]).all() and may_freeze(own[0], tare.channels.tared[columns]):
+            raise PairingError("frozen_sensor", f"{finger}: the same {len(own)} times, through rest and contact")
 
 
-def _flags(window: TouchWindow, onsets: tuple[int | None, ...], channels: Channels) -> tuple[str, ...]:
-    flags = [f"no_contact_{finger}" for finger, onset in zip(channels.fingers, onsets, strict=True) if onset is None]
-    for finger, columns in channels.finger_columns.items():
-        same = (np.diff(window.counts[:, columns], axis=0) == 0).all(axis=1)
-        same &= may_freeze(window.counts[1:, columns], channels.tared[columns])
-        if _longest_run_ns(same, window.stamps_ns) > _ns(_FROZEN_S):
-            flags.append(f"frozen_{finger}")
-    if (np.diff(window.stamps_ns) == 0).any():
-        flags.append("duplicate_stamps")
-    return tuple(flags)
+def _flags(
+    stamps_ns: Int64, counts: Floating, hold: Bool, contacts: tuple[SeriesContact, ...], channels: Channels
+) -> dict[str, str]:
+    flags = {}
+    for (finger, columns), contact in zip(channels.finger_columns.items(), contacts, strict=True):
+        own = counts[:, columns]
+        same = (np.diff(own, axis=0) == 0).all(axis=1) & may_freeze(own[1:], channels.tared[columns])
+        frozen_ns = _longest_run_ns(same, stamps_ns)
+        if contact.onset is None:
+            flags[f"no_contact_{finger}"] = f"{finger} is not in contact"
+        if frozen_ns > _ns(_FROZEN_S):
+            flags[f"frozen_{finger}"] = f"{finger} sends the same numbers for {_s(frozen_ns)}"
+        if contact.drifted or (contact.onset is not None and _is_ramp(own, contact.onset, hold)):
+            flags[f"drift_{finger}"] = f"{finger} changes too slowly for a contact, or all the time"
+        if contact.several:
+            flags[f"several_contacts_{finger}"] = f"{finger} is in contact several times, of which the longest counts"
+    return flags
 
 
-def may_freeze(values: Float32, tared: Bool) -> Bool:
+def _is_ramp(counts: Floating, onset: int, hold: Bool) -> bool:
+    """Return whether (T, M) readings of a finger go on to change while it holds, by more than half of what contact changed."""
+    held = counts[hold].astype(np.float64)
+    if len(held) < 2 * _MIN_TARE_READINGS:
+        return False
+    half = len(held) // 2
+    change = np.median(held[half:], axis=0) - np.median(held[:half], axis=0)
+    step = np.median(held, axis=0) - np.median(counts[max(0, onset - _MIN_TARE_READINGS) : onset], axis=0)
+    return float(np.linalg.norm(change)) > _RAMP * float(np.linalg.norm(step))
+
+
+def may_freeze(values: Floating, tared: Bool) -> Bool:
     """Return (...) whether (..., M) values of a finger that repeat are a fault; forces at rest may be zero for any time."""
     return np.asarray((tared | (values != 0.0)).any(axis=-1), np.bool_)
 

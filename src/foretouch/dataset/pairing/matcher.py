@@ -9,15 +9,14 @@ interval have come, then its touch is cut out by stamps.
 from collections import OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, cut_touch
+from foretouch.tactile.contact_detector import SETTLE_NS
 from foretouch.types import SECOND_NS, Outcome, Sample, stamp_ns
 
 _MAX_PLANS = 10_000
-SETTLE_NS: Final = 300_000_000
-"""From first to steady contact, where the contact detector gives the interval [ns]."""
 
 
 @dataclass(frozen=True, kw_only=True)

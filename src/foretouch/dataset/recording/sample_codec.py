@@ -34,7 +34,7 @@ from foretouch.dataset.bag import POINT_CLOUD_TYPE, types_in
 from foretouch.dataset.files import require_version
 from foretouch.dataset.identity import Identity, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described
-from foretouch.files import parse_json
+from foretouch.files import TEXT_LIMIT, parse_json, read_bytes
 from foretouch.grasp.messages import decode_grasp, grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
@@ -307,9 +307,9 @@ class Definitions:
 def _find(type_name: str) -> str:
     package, _, name = type_name.split("/")
     if package == "foretouch_msgs" and (_OWN / f"{name}.msg").is_file():
-        return (_OWN / f"{name}.msg").read_text(encoding="utf-8")
+        return read_bytes(_OWN / f"{name}.msg").decode("utf-8")
     for prefix in [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]:
         file = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
         if file.is_file():
-            return file.read_text(encoding="utf-8")
+            return read_bytes(file, TEXT_LIMIT).decode("utf-8")
     raise DatasetError(f"{type_name}: no definition is known, and {package} is not installed")

@@ -33,9 +33,9 @@ from foretouch.models.contact.features import (
     HandFrameFeatures,
 )
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
-from foretouch.models.estimator import Estimate
 from foretouch.models.files import TensorRecord, read_part, read_tensors
 from foretouch.models.novelty import IN_DISTRIBUTION, standardisation
+from foretouch.models.predictor import Estimate
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import Ranges
 from foretouch.types import AnyArray, Bool, Cloud, Float64, Grasp, Plane

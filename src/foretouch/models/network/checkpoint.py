@@ -14,12 +14,12 @@ import numpy as np
 
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import card_sensor, load_calibration, read_card
-from foretouch.models.estimator import Estimate
 from foretouch.models.files import read_tensors
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import FoldedNetwork, fold, tensor_shapes
 from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths, prepare_cloud, prepare_grasps
 from foretouch.models.novelty import Fallback, object_sizes
+from foretouch.models.predictor import Estimate
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, Ranges
 from foretouch.types import AnyArray, Cloud, Grasp, Plane
@@ -56,17 +56,17 @@ class NetworkEstimator:
         Out of distribution where a length leaves its range or the object's sizes are novel.
         """
         del table  # networks look at the cloud as the camera does
-        counts, in_distribution = np.empty((len(grasps), TOUCH_SIZE)), np.ones(len(grasps), np.bool_)
+        counts, familiar = np.empty((len(grasps), TOUCH_SIZE)), np.ones(len(grasps), np.bool_)
         prepared = prepare_cloud(cloud, self.config)
         features = self.network.features(prepared.points)
         inputs = prepare_grasps(grasps, prepared.frame, self.config)
         counts[:, BIOTAC.columns(self.config.outputs)] = self.network.regress(features, inputs)
         if self.lengths is not None:
-            in_distribution &= self.lengths.within(grasp_lengths(prepared, grasps))
+            familiar &= self.lengths.within(grasp_lengths(prepared, grasps))
         if self.fallback is not None:
             counts, inside = self.fallback.fade(counts, object_sizes(cloud.xyz)[None])
-            in_distribution &= inside
-        return Estimate(counts, in_distribution)
+            familiar &= inside
+        return Estimate(counts, familiar)
 
 
 def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:

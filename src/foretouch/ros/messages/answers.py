@@ -3,7 +3,7 @@
 
 import array
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -12,6 +12,7 @@ from builtin_interfaces.msg import Duration
 from std_msgs.msg import Header
 
 from foretouch.ros.messages.conversions import REFERENCE_CODES, evidence_fields
+from foretouch.ros.messages.placement import Placement, moved_grasp
 from foretouch.ros.messages.requests import status_code
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float32, Float64, Grasp, Index, Predictions
@@ -36,6 +37,15 @@ class TouchAnswer:
     sensor: Sensor | None = None  # whose readings are predicted; None without a model
     arrays: bool = False  # whether the request holds arrays
     rotations: Float64 | None = None  # (K, 3, 3) that were computed for it, in the frame of the header; zeros for none
+
+    def placed(self, placement: Placement) -> "TouchAnswer":
+        """Return the same answer in another frame."""
+        if placement.pose is None:
+            return self
+        pose = placement.pose
+        grasps = [moved_grasp(one, pose) if isinstance(one, GraspMsg) else one.moved(pose) for one in self.grasps]
+        rotations = None if self.rotations is None else pose[:3, :3] @ self.rotations
+        return replace(self, header=placement.header, grasps=grasps, rotations=rotations)
 
     @cached_property
     def summary(self) -> tuple[int, str]:

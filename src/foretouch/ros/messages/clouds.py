@@ -3,21 +3,30 @@
 
 import array
 from collections.abc import Sequence
-from typing import Final
+from types import ModuleType
+from typing import Any, Final
 
 import numpy as np
+from geometry_msgs.msg import Pose, Vector3
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from std_msgs.msg import Header
 
 from foretouch.camera.stream import DepthFrame
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import join_objects
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
-from foretouch.types import AnyArray, Cloud
+from foretouch.ros.messages.placement import Placement
+from foretouch.types import AnyArray, Cloud, Float64
 from foretouch.types.camera import MODELS
-from foretouch.types.scene import Object
+from foretouch.types.scene import Object, Scene
 from foretouch_msgs.msg import Object as ObjectMsg
 
 _MILLIMETRE: Final = 1e-3  # [m], the unit of 16UC1
+_LARGEST_LABEL: Final = 65535  # of 16UC1
+_BRIGHTEST: Final = 230.0  # of the nearest pixel
+_OBJECT_RGB: Final = np.array(  # by id
+    [(255, 128, 0), (0, 166, 214), (230, 0, 126), (122, 184, 0), (143, 79, 209), (217, 179, 0), (0, 168, 143)]
+)
 
 
 def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
@@ -43,18 +52,11 @@ def _bytes(numbers: AnyArray) -> "array.array[int]":
 def depth_to_msgs(frame: DepthFrame) -> tuple[Image, CameraInfo]:
     """Convert a depth image to 16UC1 in millimetres, or 32FC1 in metres where its unit is another, and its camera."""
     header, camera = header_to_msg(frame.frame_id, frame.stamp_ns), frame.camera
-    height, width = frame.depth.shape
     depth, encoding = frame.depth.astype("<u2", copy=False), "16UC1"
     if round(frame.scale_m, 9) != _MILLIMETRE:
         depth, encoding = (frame.depth * np.float32(frame.scale_m)).astype("<f4"), "32FC1"
-    image = Image(
-        header=header,
-        height=height,
-        width=width,
-        encoding=encoding,
-        step=width * depth.itemsize,
-        data=_bytes(np.ascontiguousarray(depth)),
-    )
+        depth[frame.depth == 0] = np.nan  # as REP 118 has it for floats
+    image = _image(header, depth, encoding)
     d = [*camera.distortion, *[0.0] * (5 - len(camera.distortion))]
     info = CameraInfo(
         header=header,
@@ -69,6 +71,38 @@ def depth_to_msgs(frame: DepthFrame) -> tuple[Image, CameraInfo]:
     return image, info
 
 
+def _image(header: Header, pixels: AnyArray, encoding: str) -> Image:
+    """Make an image of (H, W) or (H, W, C) numbers in the byte order of this machine, or little-endian ones."""
+    pixels = np.ascontiguousarray(pixels)
+    height, width = pixels.shape[:2]
+    step = pixels.nbytes // max(1, height)
+    return Image(header=header, height=height, width=width, encoding=encoding, step=step, data=_bytes(pixels))
+
+
+def labels_to_msg(scene: Scene, header: Header) -> Image:
+    """Convert the labels of the pixels to 16UC1: the id of the object, 0 for none; ids begin again after 65535."""
+    labels = np.atleast_2d(scene.labels)
+    if labels.max(initial=0) > _LARGEST_LABEL:
+        labels = np.where(labels > 0, (labels - 1) % _LARGEST_LABEL + 1, 0)
+    return _image(header, labels.astype("<u2"), "16UC1")
+
+
+def overlay_to_msg(scene: Scene, header: Header) -> Image:
+    """Draw the objects over the image, rgb8: targets in full colour, others paler; by its colours, or the brighter the nearer."""
+    depth, labels = np.atleast_2d(scene.cloud.xyz[..., 2]), np.atleast_2d(scene.labels)
+    if scene.cloud.rgb is not None:
+        drawn = scene.cloud.rgb.reshape(*depth.shape, 3).copy()
+    else:
+        near = np.nanmin(depth, initial=np.inf)
+        grey = np.nan_to_num(_BRIGHTEST * near / depth, nan=0.0, posinf=0.0, neginf=0.0).astype(np.uint8)
+        drawn = np.repeat(grey[..., None], 3, axis=2)
+    pixels, flat = np.flatnonzero(labels), drawn.reshape(-1, 3)
+    ids = labels.reshape(-1)[pixels]
+    shares = np.where(np.isin(ids, [int(target.id) for target in scene.targets]), 0.7, 0.35)[:, None]
+    flat[pixels] = (1.0 - shares) * flat[pixels] + shares * _OBJECT_RGB[ids % len(_OBJECT_RGB)]
+    return _image(header, drawn, "rgb8")
+
+
 def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -> PointCloud2:
     """Convert targets to `object_cloud`; without any, to a cloud without points.
 
@@ -81,20 +115,50 @@ def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -
     return cloud_to_msg(cloud, **columns)
 
 
-def object_to_msg(object_: Object, *, target: bool) -> ObjectMsg:
+def object_to_msg(object_: Object, placement: Placement, *, target: bool) -> ObjectMsg:
     """Convert an object with the indices of its points.
 
     Args:
         object_: The object.
+        placement: Of the result.
         target: Whether grasps are planned on it.
     """
-    low, high = object_.bounds
+    low, high = _bounds(object_, placement)
     return ObjectMsg(
         id=object_.id,
         n_points=object_.n_points,
-        centroid=point_to_msg(object_.centroid),
+        centroid=point_to_msg(placement.points(object_.centroid)),
         minimum=point_to_msg(low),
         maximum=point_to_msg(high),
         target=target,
         indices=array.array("I", object_.pixels.astype(np.uint32).tobytes()),
     )
+
+
+def detections_to_msg(objects: Sequence[Object], placement: Placement, kinds: ModuleType) -> Any:
+    """Convert objects to a `vision_msgs/Detection3DArray`: boxes along the axes of the frame.
+
+    Args:
+        objects: All that are on the table, named by their ids; nothing says what they are.
+        placement: Of the result.
+        kinds: The module `vision_msgs.msg`, which may not be installed.
+    """
+    detections = []
+    for object_ in objects:
+        low, high = _bounds(object_, placement)
+        x, y, z = map(float, high - low)
+        centre = Pose(position=point_to_msg((low + high) / 2.0))
+        result = kinds.ObjectHypothesisWithPose()
+        result.hypothesis.class_id, result.hypothesis.score = "object", 1.0
+        result.pose.pose = Pose(position=point_to_msg(placement.points(object_.centroid)))
+        box = kinds.BoundingBox3D(center=centre, size=Vector3(x=x, y=y, z=z))
+        detections.append(kinds.Detection3D(header=placement.header, results=[result], bbox=box, id=object_.id))
+    return kinds.Detection3DArray(header=placement.header, detections=detections)
+
+
+def _bounds(object_: Object, placement: Placement) -> Float64:
+    """Return (2, 3) the smallest and the largest coordinates of an object in the frame of the results [m]."""
+    if placement.pose is None or not len(object_.cloud.finite):
+        return object_.bounds
+    points = placement.points(object_.cloud.finite)
+    return np.stack([points.min(axis=0), points.max(axis=0)])

@@ -11,12 +11,13 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.errors import CloudError, ModelError
-from foretouch.grasp import Obstacles, quaternion_xyzw
+from foretouch.grasp import Obstacles
 from foretouch.grasp.messages import REFERENCES, decode_predictions
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Prediction, WayIn
 from foretouch.types.predictions import evidence_text
+from foretouch.types.rotations import quaternion_xyzw
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg

@@ -4,7 +4,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from rclpy.serialization import deserialize_message
@@ -17,17 +17,20 @@ from foretouch.cloud.messages import decode_objects
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, GraspError, LimitError
 from foretouch.grasp import Obstacles
 from foretouch.grasp.messages import STATUSES, decode_grasp, has_orientation
-from foretouch.grasp.pose import joined_faults, rotation_faults
+from foretouch.grasp.pose import joined_faults
 from foretouch.ros.messages.conversions import obstacles_from_msg, plane_from_msg
-from foretouch.types import ASSUMED_TABLE, Grasp, Grasps, Plane
+from foretouch.ros.messages.placement import Placement, moved_grasp
+from foretouch.types import ASSUMED_TABLE, Float64, Grasp, Grasps, Plane, assumed_table
 from foretouch.types.arrays import Bool, objects
 from foretouch.types.grasps import contact_faults
+from foretouch.types.rotations import rotation_faults
 from foretouch.types.scene import Object
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane
 
 _CODES = {name: code for code, name in STATUSES.items()}
 _M = TypeVar("_M")
+Place: TypeAlias = Callable[[Header, str], Placement]
 
 
 def status_code(name: str) -> int:
@@ -56,6 +59,12 @@ class Targets(NamedTuple):
     objects: tuple[Object, ...]
     message: Callable[[], PointCloud2]  # makes their `object_cloud`
     refusal: RefusalError | None = None  # why their table is not known
+    placement: Placement | None = None  # of what is answered; None for the frame of the cloud
+
+    @property
+    def answered_in(self) -> Placement:
+        """The frame of the answer, which is also that of the grasps of a request."""
+        return self.placement or Placement(self.header)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +105,17 @@ class RequestedGrasps:
         turned = rotations.reshape(-1, 3, 3) if given else np.tile(np.eye(3), (count, 1, 1))
         g1, g2 = contacts.reshape(-1, 2, 3).swapaxes(0, 1)
         names = [f"{request.id}/{k}" if request.id else "" for k in range(count)]
+        faults = joined_faults(contact_faults(g1, g2, turned), rotation_faults(turned))
+        turned[[bool(fault) for fault in faults]] = np.nan  # what is no rotation
         grasps = Grasps(g1, g2, turned, id=objects(names), object_id=objects([request.object_id] * count))
-        return cls(
-            grasps, np.full(count, given), joined_faults(contact_faults(g1, g2, turned), rotation_faults(turned))
-        )
+        return cls(grasps, np.full(count, given), faults)
+
+    def moved(self, pose: Float64 | None) -> "RequestedGrasps":
+        """Return the same grasps in another frame, in which `pose` (4, 4) is the frame of these; None changes nothing."""
+        if pose is None:
+            return self
+        messages = None if self.messages is None else [moved_grasp(message, pose) for message in self.messages]
+        return replace(self, grasps=self.grasps.moved(pose), messages=messages)
 
 
 @contextmanager
@@ -195,35 +211,43 @@ def read_table(table: TablePlane, header: Header) -> tuple[Plane, Obstacles | No
         return plane, obstacles_from_msg(table)
 
 
-def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits) -> Targets:
-    """Convert cloud and table of a request, for which a cloud that is only a header stands for the latest one, with its table.
+def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits, place: Place) -> Targets:
+    """Convert cloud and table of a request; a cloud without points stands for the latest one, with its table.
+
+    The answer is in the frame that the header of the request names, and without one in that of the other results. A cloud without a
+    table stands on a level one where it is known what is up.
 
     Args:
         request: Holds a `cloud`, and a `table` with one plane or none.
         latest: The newest objects, if there are any.
         limits: Of objects.
+        place: Finds the frame of the results of a cloud, by its header and the name of the frame, "" for that of all results.
 
     Raises:
-        RefusalError: As `read_targets` and `read_plane`; EMPTY_CLOUD without a latest cloud, UNKNOWN_FRAME if that is in another frame.
+        RefusalError: As `read_targets` and `read_plane`; EMPTY_CLOUD before the first cloud, UNKNOWN_FRAME if nothing transforms
+            the latest to the frame of the header, or why the latest has no objects.
     """
     cloud, table = request.cloud, request.table
     plane = read_plane(table[0]) if table else None
-    if cloud.fields or not cloud.header.frame_id:
-        unknown = None if table else RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
-        return Targets(cloud.header, read_targets(cloud, plane or ASSUMED_TABLE, limits), lambda: cloud, unknown)
+    if cloud.width * cloud.height or len(cloud.data):
+        targets = read_targets(cloud, plane or ASSUMED_TABLE, limits)
+        up = None if table else place(cloud.header, "").up
+        if up is not None:
+            targets = tuple(replace(target, plane=assumed_table(target.cloud, up)) for target in targets)
+        known = bool(table) or up is not None
+        unknown = None if known else RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
+        return Targets(cloud.header, targets, lambda: cloud, unknown)
     if latest is None:
-        raise no_latest_cloud()
-    check_frames("cloud", cloud.header, latest.header)
-    if not latest.objects:
-        raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
+        raise RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
+    if not latest.objects and latest.refusal is not None:
+        raise latest.refusal
+    if cloud.header.frame_id:
+        latest = latest._replace(placement=place(latest.header, cloud.header.frame_id))
     if plane is None:
         return latest
+    if (back := latest.answered_in.back) is not None:
+        plane = plane.moved(back)
     return latest._replace(objects=tuple(replace(target, plane=plane) for target in latest.objects), refusal=None)
-
-
-def no_latest_cloud() -> RefusalError:
-    """Make the refusal of a request that is about the latest cloud before there is one."""
-    return RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
 
 
 def passed_on(name: str, status: int, reason: str) -> RefusalError:

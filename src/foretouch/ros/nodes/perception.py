@@ -13,6 +13,7 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.config import setting
 from foretouch.ros.messages.clouds import objects_to_msg
+from foretouch.ros.messages.placement import Placement
 from foretouch.ros.messages.requests import (
     RefusalError,
     RequestedGrasps,
@@ -28,6 +29,7 @@ from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input, ProcessingConfig, ProcessingNode
 from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.steps.camera_input import CameraInput, CameraInputSettings
+from foretouch.ros.steps.frames import Frames
 from foretouch.ros.steps.grasping import GraspSettings, GraspStep
 from foretouch.ros.steps.segmentation import SegmentationSettings, SegmentationStep
 from foretouch.ros.steps.services import TouchServices
@@ -63,7 +65,8 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
     exclusive_topics = ("objects", GRASPS_TOPIC, "touch")
 
     def _setup(self) -> None:
-        self._planner, self._touch = GraspStep(self), TouchStep(self)
+        self._frames = Frames(self)
+        self._planner, self._touch = GraspStep(self), TouchStep(self, self._frames)
         self.steps = (self._planner, self._touch, TouchServices(self, self._touch))
         if self.config.input == "objects":  # subscriptions come last, so that no answer is lost
             super()._setup()
@@ -76,13 +79,17 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
         header = item.header
         if self.config.input == "objects":
             objects, table = item.content[CLOUD_TOPIC], item.content["table"]
-            targets = Targets(header, read_objects(objects, table, self.config.limits), lambda: objects)
+            placement = self._frames.placement(header)
+            found = read_objects(objects, table, self.config.limits)
+            targets = Targets(header, found, lambda: objects, placement=placement)
             return self._answer_targets(targets, table.status, table.reason)
         cloud = self._camera.cloud(item.content)
+        placement = self._frames.placement(header)
         scene = self._segmentation.segment(cloud)
         message = partial(objects_to_msg, scene.targets, header.frame_id, stamp_ns(header.stamp))
-        outcome = self._answer_targets(Targets(header, scene.targets, message), status_code(scene.status), scene.reason)
-        self._segmentation.publish(header, scene)
+        targets = Targets(header, scene.targets, message, placement=placement)
+        outcome = self._answer_targets(targets, status_code(scene.status), scene.reason)
+        self._segmentation.publish(header, scene, placement)
         return outcome
 
     def _answer_targets(self, targets: Targets, status: int, reason: str) -> tuple[int, str]:
@@ -102,7 +109,7 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
         else:
             status, reason = grasps.status, grasps.reason
             self._touch.refuse(header, status, reason)
-        self._planner.publish(grasps)
+        self._planner.publish(grasps, targets.answered_in)
         return status, reason
 
 
@@ -118,14 +125,16 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     exclusive_topics = ("objects",)
 
     def _setup(self) -> None:
+        self._frames = Frames(self)
         self._step = SegmentationStep(self)  # before subscribing, so that no answer is lost
         self._camera = CameraInput(self, self._receive)
         self.steps = (self._step, self._camera)
 
     def _answer(self, item: Input) -> tuple[int, str]:
         cloud = self._camera.cloud(item.content)
+        placement = self._frames.placement(item.header)
         scene = self._step.segment(cloud)
-        self._step.publish(item.header, scene)
+        self._step.publish(item.header, scene, placement)
         return status_code(scene.status), scene.reason
 
 
@@ -142,6 +151,7 @@ class GraspNode(MatchingNode[GraspNodeConfig]):
     exclusive_topics = (GRASPS_TOPIC,)
 
     def _setup(self) -> None:
+        self._frames = Frames(self)
         self._step = GraspStep(self)  # before subscribing, so that no answer is lost
         self.steps = (self._step,)
         super()._setup()
@@ -149,8 +159,9 @@ class GraspNode(MatchingNode[GraspNodeConfig]):
     def _answer(self, item: Input) -> tuple[int, str]:
         table = item.content["table"]
         targets = read_objects(item.content[CLOUD_TOPIC], table, self.config.limits)
+        placement = self._frames.placement(item.header)
         message, _ = self._step.plan(targets, item.header, table.reason)
-        self._step.publish(message)
+        self._step.publish(message, placement)
         return message.status, message.reason
 
 
@@ -168,7 +179,8 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
 
     def _setup(self) -> None:
         self._tables: dict[int, TablePlane] = {}  # by stamp [ns]
-        self._step = TouchStep(self)  # before subscribing, so that no answer is lost
+        self._frames = Frames(self)
+        self._step = TouchStep(self, self._frames)  # before subscribing, so that no answer is lost
         self.steps = (self._step, TouchServices(self, self._step))
         self.subscribe(InputTopic("table", TablePlane), self._remember_table)
         super()._setup()
@@ -193,15 +205,17 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
         """Read the objects of a cloud, and remember them for requests if their table is known."""
         table, limits = self._tables.get(stamp_ns(cloud.header.stamp)), self.config.limits
         objects: tuple[Object, ...] = ()
+        placement: Placement | None = None
         refusal: RefusalError | None = None
         try:
+            placement = self._frames.placement(cloud.header)
             objects = read_targets(cloud, ASSUMED_TABLE, limits)  # as if the camera looked straight down
             if table is not None:
                 plane, obstacles = read_table(table, cloud.header)
                 objects = tuple(replace(target, plane=plane, obstacles=obstacles) for target in objects)
         except RefusalError as err:
             refusal = err
-        targets = Targets(cloud.header, objects, lambda: cloud, refusal)
+        targets = Targets(cloud.header, objects, lambda: cloud, refusal, placement)
         if table is not None:
             self._step.latest = targets
         return targets

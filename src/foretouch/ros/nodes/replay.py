@@ -96,14 +96,22 @@ class ReplayConfig(NodeConfig):
     path: str = setting("", "Recording, folder of clouds or samples, or file", read_only=True)
     topic: str = setting("", "Topic of the clouds, for a recording that holds several", read_only=True)
     intrinsics: tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0, 0.0),
-        "fx, fy, cx, cy of depth files; zeros take the camera of the files",
-        unit="px",
+        (0.0, 0.0, 0.0, 0.0), "fx, fy, cx, cy of depth images; zeros take their own camera", unit="px", read_only=True
+    )
+    camera_info: str = setting("", "File with the camera of depth images; empty: their own", read_only=True)
+    info_topic: str = setting(
+        "",
+        "Topic of the camera infos of a recording; empty: `camera_info` beside, or the only one that fits",
         read_only=True,
     )
-    camera_info: str = setting("", "File with the camera of depth files; empty: the files' own", read_only=True)
+    rectified: str = setting(
+        "",
+        "Whether depth images are rectified, so that P of their camera describes them; empty: by their name",
+        choices=("", "yes", "no"),
+        read_only=True,
+    )
     depth_scale: float = setting(
-        0.0, "Metres per unit of depth files; 0: the files' own", bounds=(0.0, 1.0), read_only=True
+        0.0, "Metres per unit of depth images; 0: their own", bounds=(0.0, 1.0), read_only=True
     )
     table: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0, 0.0),
@@ -142,11 +150,13 @@ class ReplayConfig(NodeConfig):
 
     @property
     def camera(self) -> DepthCamera:
-        """The camera of depth files, as far as it is stated."""
+        """The camera of depth images, as far as it is stated; a `ConfigError` if it is stated twice."""
         return DepthCamera(
             intrinsics=self.intrinsics if any(self.intrinsics) else (),
             info=Path(self.camera_info) if self.camera_info else None,
             scale=self.depth_scale or None,
+            rectified=self.rectified == "yes" if self.rectified else None,
+            info_topic=self.info_topic,
         )
 
 

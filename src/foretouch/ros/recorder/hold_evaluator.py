@@ -7,11 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.dataset.pairing.matcher import SETTLE_NS
 from foretouch.errors import TactileError
 from foretouch.models.touch_hold import OUTSIDE, load_touch_hold
 from foretouch.ros.messages.conversions import header_to_msg
-from foretouch.tactile.contact_detector import contact_scores
+from foretouch.tactile.contact_detector import SETTLE_NS, contact_scores
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.described import SensorReader
 from foretouch.types import Float32

@@ -13,11 +13,11 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from rcl_interfaces.msg import ParameterType, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import Executor, ExternalShutdownException
 
-from foretouch.errors import described, shown
+from foretouch.errors import described
 from foretouch.ros.runtime.diagnostics import Report
 
 
@@ -112,21 +112,6 @@ def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool
                 raise ExternalShutdownException from err
             errors.report("executor", err)
             time.sleep(0.01)
-
-
-def with_known_types(callback: Callable[..., Any], request: Any, response: Any) -> Any:
-    """Call rclpy's parameter service, or refuse a type that rclpy does not know, and would raise for.
-
-    Args:
-        callback: Of the service.
-        request: Names and values of parameters.
-        response: To be filled.
-    """
-    for parameter in request.parameters:
-        if parameter.value.type > ParameterType.PARAMETER_STRING_ARRAY:
-            rule = f"type {parameter.value.type} is not one of rcl_interfaces/ParameterType"
-            return failed_response((request, response), f"{shown(parameter.name)}: {rule}")
-    return callback(request, response)
 
 
 def failed_response(arguments: tuple[Any, ...], reason: str) -> Any:

@@ -33,8 +33,8 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError, shown
 from foretouch.ros.runtime.diagnostics import InputStatistics, Report
 from foretouch.ros.runtime.discovery import find_conflicts
-from foretouch.ros.runtime.internal_errors import InternalErrors, failed_response, with_known_types
-from foretouch.ros.runtime.parameters import NodeSettings
+from foretouch.ros.runtime.internal_errors import InternalErrors, failed_response
+from foretouch.ros.runtime.parameters import NodeSettings, set_known
 from foretouch.ros.runtime.subscription import FollowingSubscription, InputTopic
 from foretouch.topics import NAMESPACE
 
@@ -79,7 +79,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             if service.srv_type is ChangeState:
                 callback = partial(self._change_state, callback)
             elif service.srv_type in (SetParameters, SetParametersAtomically):
-                callback = partial(with_known_types, callback)
+                callback = partial(set_known, self, callback)
             service.callback = self.internal_errors.guarded(service.srv_name, callback, failed_response)
         self.statistics = InputStatistics()
         self.state_name = "unconfigured"

@@ -5,16 +5,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from geometry_msgs.msg import PoseArray
 from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits
-from foretouch.config import Settings, setting
+from foretouch.config import setting
 from foretouch.grasp import GeoGraspConfig, GraspHold, GraspPlan, HandConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.conversions import grasp_to_msg
+from foretouch.ros.messages.placement import Placement, poses_to_msg
 from foretouch.ros.messages.requests import status_code
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
+from foretouch.ros.steps.frames import FrameSettings
 from foretouch.topics import GRASPS_TOPIC
 from foretouch.types import stamp_ns
 from foretouch.types.scene import Object
@@ -25,8 +28,12 @@ _HOLD_TOLERANCE_M: Final = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraspSettings(Settings):
+class GraspSettings(FrameSettings):
     """Settings of the planner of grasps."""
+
+    publish_grasp_poses: bool = setting(
+        True, "Whether grasp_poses is offered: the poses of the tool as geometry_msgs/PoseArray", read_only=True
+    )
 
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
@@ -48,6 +55,7 @@ class GraspStep(Step):
 
     def __init__(self, node: ForetouchNode[Any]) -> None:
         self._grasps = node.advertise(GraspArray, GRASPS_TOPIC, keep=True)
+        self._poses = node.advertise(PoseArray, "grasp_poses") if node.config.publish_grasp_poses else None
         self.configure(node.config)
         for target in Pipeline().segment(warm_up_cloud()).targets:
             self._pipeline.plan(target)
@@ -69,13 +77,20 @@ class GraspStep(Step):
         """
         return plan_targets(self._pipeline, targets, header, note, self._held, self._margin)
 
-    def publish(self, message: GraspArray) -> None:
-        """Publish the grasps of one cloud."""
+    def publish(self, message: GraspArray, placement: Placement) -> None:
+        """Publish the grasps of one cloud.
+
+        Args:
+            message: The grasps, in the frame of the cloud.
+            placement: Of their poses.
+        """
         self._grasps.publish(message)
+        if self._poses is not None and self._poses.get_subscription_count():
+            self._poses.publish(poses_to_msg(message, placement))
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish that there is no grasp, and why."""
-        self._grasps.publish(GraspArray(header=header, status=status, reason=reason))
+        self.publish(GraspArray(header=header, status=status, reason=reason), Placement(header))
 
 
 def plan_targets(

@@ -15,14 +15,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.type_support import check_for_type_support
-from std_msgs.msg import Header
 
 from foretouch.errors import described
 from foretouch.grasp import GraspPlan
-from foretouch.grasp.hand import tool_of
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups, predicted_pressures
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.messages.requests import RefusalError, Targets, no_latest_cloud, requested_targets
+from foretouch.ros.messages.placement import Placement, tool_pose
+from foretouch.ros.messages.requests import RefusalError, requested_targets
 from foretouch.ros.steps.grasping import plan_targets
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.steps.touch_settings import COSTS, HARDER_FINGER, SCORE, TouchSettings
@@ -44,8 +43,8 @@ _BATCH: Final = 100  # grasps that are predicted between two looks for a cancel;
 class _Candidate(NamedTuple):
     cost: float
     half: float  # half width of the interval of the cost; NaN without one
-    grasp: Grasp
-    prediction: TouchPrediction
+    grasp: Grasp  # in the frame of the cloud
+    prediction: TouchPrediction  # for it, and in the frame of the answer
 
 
 def sample_grasps(
@@ -74,7 +73,9 @@ def sample_grasps(
         raise RefusalError(Status.BAD_REQUEST, f"cost: {rule!r} is not one of {', '.join(COSTS)}")
     if goal.count > config.max_grasps:
         raise RefusalError(Status.BAD_REQUEST, f"count: {goal.count} is above max_grasps, {config.max_grasps}")
-    targets = _targets(goal, step.latest, config)
+    targets = requested_targets(goal, step.latest, config.limits, step.frames.placement)
+    if targets.refusal is not None:  # the table of a given cloud is not known
+        raise targets.refusal
     planning = config.grasp.replace(count=goal.count) if goal.count else config.grasp
     pipeline = Pipeline(PipelineConfig(grasp=planning, hand=config.hand, limits=config.limits))
     name = bytes(handle.goal_id.uuid).hex()[:8]
@@ -91,8 +92,8 @@ def sample_grasps(
                 break
             part = slice(first, first + _BATCH)
             batch = GraspArray(header=targets.header, grasps=message.grasps[part])
-            fresh = _predicted(step, rule, target, replace(plan, grasps=plan.grasps[part]), batch)
-            feedback(SampleGrasps.Feedback(**_fields(fresh, targets.header)))
+            fresh = _predicted(step, rule, target, replace(plan, grasps=plan.grasps[part]), batch, targets.answered_in)
+            feedback(SampleGrasps.Feedback(**_fields(fresh)))
             candidates += fresh
     if not candidates:
         if handle.is_cancel_requested:
@@ -101,32 +102,23 @@ def sample_grasps(
     if rule != SCORE and all(math.isinf(candidate.cost) for candidate in candidates):
         raise RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
     candidates, fields = _levelled(candidates), {"grasp_state": "success", "status": Status.OK}
-    fields |= _fields(candidates, targets.header)
-    step.add_requested(targets, fields["grasps"])
+    fields |= _fields(candidates)
+    step.add_requested(targets, [candidate.grasp for candidate in candidates])
     return SampleGrasps.Result(predictions=[candidate.prediction for candidate in candidates], **fields)
 
 
-def _targets(goal: Any, latest: Targets | None, config: TouchSettings) -> Targets:
-    """Find the objects of a goal, whose table is known."""
-    given = goal.cloud.width * goal.cloud.height
-    targets = requested_targets(goal, latest, config.limits) if given else latest
-    if targets is None:
-        raise no_latest_cloud()
-    if targets.refusal is not None:
-        raise targets.refusal
-    return targets
-
-
-def _predicted(step: TouchStep, rule: str, target: Object, plan: GraspPlan, message: GraspArray) -> list[_Candidate]:
+def _predicted(
+    step: TouchStep, rule: str, target: Object, plan: GraspPlan, message: GraspArray, placement: Placement
+) -> list[_Candidate]:
     """Predict for planned grasps, whose message is given, and rate each by how hard the fingers press: value and bounds."""
     answer, model = step.answer_plans([target], [plan], message), step.predictor.model
     pressed = np.full((3, len(plan.grasps), 1), np.nan)
     if model is not None:
         pressed = predicted_pressures(answer.predictions, model)
     candidates = []
-    for k, prediction in enumerate(answer.message.predictions):
+    for k, prediction in enumerate(answer.placed(placement).message.predictions):
         cost, lower, upper = (cost_of(rule, prediction.grasp, bound) for bound in pressed[:, k])
-        candidates.append(_Candidate(cost, abs(upper - lower) / 2.0, prediction.grasp, prediction))
+        candidates.append(_Candidate(cost, abs(upper - lower) / 2.0, message.grasps[k], prediction))
     return candidates
 
 
@@ -163,16 +155,13 @@ def _levelled(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     return [candidates[k]._replace(cost=float(lowest[groups[k]])) for k in np.lexsort((-scores, groups))]
 
 
-def _fields(candidates: Sequence[_Candidate], header: Header) -> dict[str, Any]:
-    """Make what results and feedback have in common.
-
-    A pose is of the tool frame of a described hand; without one, of the hand by GeoGrasp.
-    """
-    poses = [c.grasp.pose_of_hand if tool_of(c.grasp.hand) else c.grasp.pose for c in candidates]
+def _fields(candidates: Sequence[_Candidate]) -> dict[str, Any]:
+    """Make what results and feedback have in common."""
+    predictions = [candidate.prediction for candidate in candidates]
     return {
-        "grasp_candidates": [PoseStamped(header=header, pose=pose) for pose in poses],
-        "costs": [c.cost for c in candidates],
-        "grasps": [c.grasp for c in candidates],
+        "grasp_candidates": [PoseStamped(header=one.header, pose=tool_pose(one.grasp)) for one in predictions],
+        "costs": [candidate.cost for candidate in candidates],
+        "grasps": [prediction.grasp for prediction in predictions],
     }
 
 

@@ -2,37 +2,59 @@
 """Cloud -> `objects`, `table`, `object_cloud`: the objects on the table, and which of them to grasp."""
 
 import array
+import importlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
+from foretouch.config import setting
 from foretouch.errors import CloudError
 from foretouch.grasp import HandConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
+from foretouch.ros.messages.clouds import (
+    detections_to_msg,
+    labels_to_msg,
+    object_to_msg,
+    objects_to_msg,
+    overlay_to_msg,
+)
 from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
 from foretouch.ros.messages.markers import object_markers
+from foretouch.ros.messages.placement import Placement
 from foretouch.ros.messages.requests import RefusalError, status_code
+from foretouch.ros.messages.tactile import message_class
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
+from foretouch.ros.steps.frames import FrameSettings
 from foretouch.ros.steps.selection import Selection, SelectionSettings
 from foretouch.topics import CLOUD_TOPIC
 from foretouch.types import Cloud, Float64, stamp_ns
-from foretouch.types.scene import Scene
+from foretouch.types.scene import Object, Scene
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 
 
 @dataclass(frozen=True, kw_only=True)
-class SegmentationSettings(SelectionSettings):
+class SegmentationSettings(SelectionSettings, FrameSettings):
     """Settings of the segmentation."""
+
+    publish_detections: bool = setting(
+        False, "Whether detections is offered: the objects as vision_msgs/Detection3DArray", read_only=True
+    )
+    publish_labels: bool = setting(
+        False, "Whether labels is offered: the object of each pixel as sensor_msgs/Image, 16UC1", read_only=True
+    )
+    publish_overlay: bool = setting(
+        False, "Whether overlay is offered: the image with the objects in colours, rgb8", read_only=True
+    )
 
     segmentation: SegmentationConfig = SegmentationConfig()
     target: TargetConfig = TargetConfig()
@@ -52,6 +74,12 @@ class SegmentationStep(Step):
         self._table = node.advertise(TablePlane, "table")
         self._object_cloud = node.advertise(PointCloud2, CLOUD_TOPIC)
         self._markers = node.advertise(MarkerArray, "markers")
+        config: SegmentationSettings = node.config
+        self._labels = node.advertise(Image, "labels") if config.publish_labels else None
+        self._overlay = node.advertise(Image, "overlay") if config.publish_overlay else None
+        self._detections = None
+        if config.publish_detections:
+            self._detections = node.advertise(message_class("vision_msgs/Detection3DArray"), "detections")
         self._selection = Selection(node)
         self.configure(node.config)
         self._pipeline.segment(warm_up_cloud())
@@ -80,33 +108,45 @@ class SegmentationStep(Step):
         self._previous = scene.targets[0].centroid if len(scene.targets) == 1 else None
         return scene
 
-    def publish(self, header: Header, scene: Scene) -> None:
+    def publish(self, header: Header, scene: Scene, placement: Placement) -> None:
         """Publish a scene for those who subscribe.
 
         Args:
             header: Of the cloud.
             scene: Found in it.
+            placement: Of the objects; table, points, images and markers are in the frame of the cloud.
         """
-        state: dict[str, Any] = {"header": header, "status": status_code(scene.status), "reason": scene.reason}
-        drawn = self._markers.get_subscription_count()
-        if self._table.get_subscription_count() or drawn:
-            outline = array.array("f", scene.outline.astype(np.float32).tobytes())
-            plane, obstacles = plane_to_msg(scene.table), obstacles_to_msg(scene.obstacles)
-            table = TablePlane(plane=plane, outline=outline, **obstacles, **state)
-            self._table.publish(table)
+        self._publish_detections(scene.objects, placement)
+        for images, make in ((self._labels, labels_to_msg), (self._overlay, overlay_to_msg)):
+            if images is not None and images.get_subscription_count():
+                images.publish(make(scene, header))
+        table = self._publish_table(header, scene)
         if self._object_cloud.get_subscription_count():
             self._object_cloud.publish(objects_to_msg(scene.targets, header.frame_id, stamp_ns(header.stamp)))
-        if not (self._objects.get_subscription_count() or self._markers.get_subscription_count()):
-            return
-        chosen = {target.id for target in scene.targets}
-        height, width = np.atleast_2d(scene.labels).shape
-        objects = [object_to_msg(object_, target=object_.id in chosen) for object_ in scene.objects]
-        background = [part.background for part in scene.background]
-        message = ObjectArray(height=height, width=width, objects=objects, background=background, **state)
-        self._objects.publish(message)
-        if drawn:  # an error must not refuse the cloud, which is answered
-            markers = self._markers
-            self._node.internal_errors.guarded("markers", lambda: markers.publish(object_markers(message, table)))()
+        if self._objects.get_subscription_count():
+            self._objects.publish(_objects_to_msg(scene, placement))
+        if self._markers.get_subscription_count() and table is not None:
+            # An error must not refuse the cloud, which is answered.
+            self._node.internal_errors.guarded("markers", self._draw)(_objects_to_msg(scene, Placement(header)), table)
+
+    def _publish_table(self, header: Header, scene: Scene) -> TablePlane | None:
+        """Publish the table, and return it where it or the markers have a subscriber."""
+        if not (self._table.get_subscription_count() or self._markers.get_subscription_count()):
+            return None
+        outline = array.array("f", scene.outline.astype(np.float32).tobytes())
+        plane, obstacles = plane_to_msg(scene.table), obstacles_to_msg(scene.obstacles)
+        state = {"status": status_code(scene.status), "reason": scene.reason}
+        table = TablePlane(header=header, plane=plane, outline=outline, **obstacles, **state)
+        self._table.publish(table)
+        return table
+
+    def _draw(self, objects: ObjectArray, table: TablePlane) -> None:
+        self._markers.publish(object_markers(objects, table))
+
+    def _publish_detections(self, objects: Sequence[Object], placement: Placement) -> None:
+        if self._detections is not None and self._detections.get_subscription_count():
+            kinds = importlib.import_module("vision_msgs.msg")
+            self._detections.publish(detections_to_msg(objects, placement, kinds))
 
     def diagnose(self, report: Report) -> None:
         """Report what the last click selected."""
@@ -117,3 +157,18 @@ class SegmentationStep(Step):
         self._objects.publish(ObjectArray(header=header, status=status, reason=reason))
         self._table.publish(TablePlane(header=header, plane=plane_to_msg(None), status=status, reason=reason))
         self._object_cloud.publish(objects_to_msg((), header.frame_id, stamp_ns(header.stamp)))
+        self._publish_detections((), Placement(header))
+
+
+def _objects_to_msg(scene: Scene, placement: Placement) -> ObjectArray:
+    chosen = {target.id for target in scene.targets}
+    height, width = np.atleast_2d(scene.labels).shape
+    return ObjectArray(
+        header=placement.header,
+        height=height,
+        width=width,
+        objects=[object_to_msg(object_, placement, target=object_.id in chosen) for object_ in scene.objects],
+        status=status_code(scene.status),
+        reason=scene.reason,
+        background=[part.background for part in scene.background],
+    )

@@ -135,13 +135,13 @@ class TouchServices(Step):
         ids = sorted(grasp.id for grasp in request.grasps if grasp.id)
         if twice := [first for first, second in pairwise(ids) if first == second]:
             raise RefusalError(Status.BAD_REQUEST, f"grasps: id {quoted(twice[0])} occurs twice")
-        targets = requested_targets(request, step.latest, config.limits)
+        targets = requested_targets(request, step.latest, config.limits, step.frames.placement)
         if not count:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
         posing = config.grasp if targets.refusal is None else None
-        answer = step.answer(targets, requested, posing)
+        answer = step.answer(targets, requested.moved(targets.answered_in.back), posing)
         step.add_requested(targets, answer.answered)  # not before: it may have been executed already
-        return answer.reply
+        return answer.placed(targets.answered_in).reply
 
     # The actions.
 

@@ -29,6 +29,7 @@ from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
 from foretouch.ros.runtime.subscription import InputTopic
+from foretouch.ros.steps.frames import Frames
 from foretouch.ros.steps.online_adapter import OnlineAdapter
 from foretouch.ros.steps.predictor import Predictor
 from foretouch.ros.steps.selection import SELECTED
@@ -47,15 +48,17 @@ class TouchStep(Step):
 
     Args:
         node: Publishes and serves; it must be configuring, and its settings are `TouchSettings`.
+        frames: Of its results.
 
     Attributes:
+        frames: Of the results.
         latest: The newest objects, for requests without a cloud.
         predictor: The model.
         adapter: Adapts predictions to readings; None for vision alone.
     """
 
-    def __init__(self, node: ForetouchNode[Any]) -> None:
-        self._node = node
+    def __init__(self, node: ForetouchNode[Any], frames: Frames) -> None:
+        self._node, self.frames = node, frames
         config: TouchSettings = node.config
         self.latest: Targets | None = None
         self.adapter: OnlineAdapter | None = None
@@ -114,7 +117,7 @@ class TouchStep(Step):
         stated = (flag for flag in (AMBIGUOUS_TARGET, SELECTED) if grasps.reason.startswith(flag))
         own = {flag for flags in answer.predictions.flags for flag in flags}  # of an object that was segmented here
         answer.flags += tuple(flag for flag in stated if flag not in own)
-        self._touch.publish(answer.message)
+        self._touch.publish(answer.placed(targets.answered_in).message)
         if self.adapter is not None:
             self.adapter.add_grasps(targets, grasps.grasps)
         if self._markers.get_subscription_count():  # the answer is out: an error must not refuse the cloud

@@ -10,6 +10,7 @@ from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.grasp import GeoGraspConfig, HandConfig
 from foretouch.grasp.reach import ReachConfig
 from foretouch.ros.messages.tactile import TactileInput
+from foretouch.ros.steps.frames import FrameSettings
 from foretouch_msgs.action import SampleGrasps
 
 PRESSURE: Final = SampleGrasps.Goal.PRESSURE
@@ -20,7 +21,7 @@ COSTS: Final = (PRESSURE, SCORE, HARDER_FINGER)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchSettings(ReachConfig, TactileInput):
+class TouchSettings(ReachConfig, TactileInput, FrameSettings):
     """Settings of the step, with the hand's reach and its tactile messages."""
 
     model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)

@@ -165,7 +165,7 @@ def write_summary(
     """
     file = out / SUMMARY_FILE
     if origin is None:
-        before = file.read_text(encoding="utf-8").splitlines()[2:] if file.exists() else []
+        before = read_bytes(file, TEXT_LIMIT).decode("utf-8").splitlines()[2:] if file.exists() else []
         origin = list(takewhile(lambda line: not line.startswith("## "), before))
     lines = [f"# {experiment.question}", "", *origin]
     for table in tables:

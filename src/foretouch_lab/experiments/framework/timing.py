@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.files import read_bytes
+
 
 class MachineLoad:
     """What other processes use of this machine from its construction on."""
@@ -28,7 +30,7 @@ class MachineLoad:
     @staticmethod
     def _now() -> tuple[float, float, float]:
         """Return busy time of all cores, processor time of this process and of its children that ended, and wall time [s]."""
-        fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()[1:]
+        fields = read_bytes("/proc/stat").decode("ascii").split("\n", 1)[0].split()[1:]
         user, nice, system, _idle, _wait, irq, softirq, steal = map(int, fields[:8])
         busy_s = (user + nice + system + irq + softirq + steal) / os.sysconf("SC_CLK_TCK")
         return busy_s, sum(os.times()[:4]), time.monotonic()
@@ -37,7 +39,7 @@ class MachineLoad:
 def cpu_name() -> str:
     """Return the model of the processor."""
     info = Path("/proc/cpuinfo")
-    names = re.findall(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8")) if info.exists() else []
+    names = re.findall(r"model name\s*:\s*(.+)", read_bytes(info).decode("utf-8")) if info.exists() else []
     return names[0] if names else platform.processor()
 
 

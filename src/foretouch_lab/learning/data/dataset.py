@@ -11,7 +11,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.samples import only_finite
+from foretouch.dataset.samples import SampleSet, only_finite
 from foretouch.dataset.store import Store, content_sha256, sample_digest
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
@@ -222,6 +222,20 @@ def dataset_of(
     values = [touch.values for touch in labels if touch.channels == sensor.channels]
     sensor = with_dead_taxels(sensor, np.array(values)) if values else sensor
     return Dataset(name, tuple(samples), sha256 or content_sha256(samples), splits, omitted=omitted, sensor=sensor)
+
+
+def dataset_from(samples: SampleSet | Sequence[Sample] | str | Path) -> Dataset:
+    """Return the dataset of a path, of the samples of an opened dataset, or of samples in memory.
+
+    Raises:
+        FileError: As `load_dataset`.
+        DatasetError: As `dataset_of`.
+    """
+    if isinstance(samples, str | Path):
+        return load_dataset(samples)
+    if isinstance(samples, SampleSet):
+        return dataset_of(list(samples), samples.path.name, samples.sensor)
+    return dataset_of(list(samples))
 
 
 def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:

@@ -67,7 +67,7 @@ def evaluate_model(
     card = read_card(path := find_card(model))
     sensor = card_sensor(card, path)
     require_same(data.sensor.channels, sensor.channels, data.name)
-    own = _own_samples(card, data, chosen)
+    own = trained_on(card, data, chosen)
     kept = np.full(len(chosen), True) if own is None or training_scores else ~own
     facts = {"split": split, **_facts(own, kept)}
     if not kept.any():
@@ -138,7 +138,7 @@ def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[s
     return {"scores": scores, **facts}
 
 
-def _own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool | None:
+def trained_on(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool | None:
     """Return (S,) whether a model was trained on each sample of a dataset with these indices; None if its card does not list them."""
     text = card["data"].get("sample_hashes")
     if not isinstance(text, str):

@@ -23,13 +23,13 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import DatasetError
-from foretouch.models.calibration import Calibration, CalibrationGroup, tare_offset
+from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup, tare_offset
 from foretouch.types import Bool, Float64, Sample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of
 from foretouch_lab.learning.data.folds import Fold, HoldOut, make_folds, object_folds, predict_folds
 from foretouch_lab.learning.prequential import TimedReadings
-from foretouch_lab.learning.training.tracker import fit_tracker
+from foretouch_lab.learning.training.tracker import fit_tracker, widen_unread
 
 COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
@@ -62,7 +62,7 @@ class HeldOutPredictions:
 
 
 def calibration_folds(
-    samples: Sequence[Sample], seed: int, shapes: Sequence[str] | None = None
+    samples: Sequence[Sample], seed: int, shapes: Sequence[str] | None = None, split: str = "object"
 ) -> dict[str, tuple[list[Fold], Names]]:
     """Return folds by which training samples are held out for a calibration.
 
@@ -72,6 +72,7 @@ def calibration_folds(
         samples: Training samples, of several objects.
         seed: Of the random folds.
         shapes: (S,) shape of each sample's object, where whole shapes are left out for `new`; by default objects are.
+        split: What is left out for `new`, from `SPLITS`.
 
     Returns:
         `known` and `new`: folds, and (S,) sessions: blocks of the objects' recordings, or objects.
@@ -84,13 +85,19 @@ def calibration_folds(
         time_folds = make_folds(samples, "time", seed)
     except DatasetError:
         time_folds = make_folds(samples, "random", seed)
+    known = time_folds, _blocks(objects, time_folds)
+    if split == "object":
+        return {"known": known, "new": (object_folds(list(objects if shapes is None else shapes)), objects)}
+    folds = make_folds(samples, split, seed)
+    return {"known": known, "new": (folds, _blocks(objects, folds))}
+
+
+def _blocks(objects: Names, folds: Sequence[Fold]) -> Names:
+    """Return (S,) names of the part of each object's recording that a fold tests."""
     blocks = objects.astype(object)
-    for fold in time_folds:
+    for fold in folds:
         blocks[fold.test] = [f"{name}/{fold.name}" for name in objects[fold.test]]
-    return {
-        "known": (time_folds, blocks.astype(np.str_)),
-        "new": (object_folds(list(objects if shapes is None else shapes)), objects),
-    }
+    return blocks.astype(np.str_)
 
 
 def rest_level(samples: Sequence[Sample]) -> tuple[Float64, bool]:
@@ -138,6 +145,7 @@ def calibrate_on_folds(
     *,
     where: Float64 | None = None,
     shapes: Sequence[str] | None = None,
+    split: str = "object",
     workers: int = 1,
 ) -> tuple[Calibration, dict[str, Any]]:
     """Return a calibration from held-out predictions.
@@ -151,6 +159,7 @@ def calibrate_on_folds(
         seed: Of the folds.
         where: (S, P) features of the grasps as of `Estimate`, for models that describe them.
         shapes: (S,) shape of each sample's object, as of `calibration_folds`.
+        split: What is left out for `new`, as of `calibration_folds`.
         workers: Number of processes.
 
     Returns:
@@ -160,7 +169,7 @@ def calibrate_on_folds(
     Raises:
         DatasetError: If all samples are of one object.
     """
-    conditions = calibration_folds(samples, seed, shapes)
+    conditions = calibration_folds(samples, seed, shapes, split)
     predicted = predict_folds({name: (predict, folds) for name, (folds, _) in conditions.items()}, workers)
     channels = channels_of(samples)
     rest, recorded = rest_level(samples)
@@ -178,6 +187,14 @@ def calibrate_on_folds(
         calibration = replace(calibration, tracker=tracker)
     origin = "recorded tares" if recorded else GUESSED
     return calibration, {**facts, "rest": origin if channels.tared.any() else "zero by the sensor's description"}
+
+
+def with_conformal_start(calibration: Calibration) -> Calibration:
+    """Return the calibration with intervals before any reading that are about as wide as the conformal ones; see `widen_unread`."""
+    if calibration.tracker is None:
+        return calibration
+    known, new = (calibration.groups[name].half_width for name in GROUPS)
+    return replace(calibration, tracker=widen_unread(calibration.tracker, known, new))
 
 
 def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> CalibrationGroup:
@@ -228,7 +245,7 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
         most = np.where(channels.by_modality(single), _MOST_SHARE, np.inf)
         factor = np.sqrt(np.minimum(1.0, most * within / np.diag(between)))
         between = between * np.outer(factor, factor)
-    return CalibrationGroup(channels, between, within, slope, spread, _half_widths(held_out))
+    return CalibrationGroup(channels, between, within, slope, spread, half_widths(held_out))
 
 
 def _centred(values: Float64, owners: Sequence[Bool]) -> Float64:
@@ -281,7 +298,7 @@ def _spread(held_out: HeldOutPredictions) -> Float64:
     return np.asarray(np.maximum(squared.mean(axis=0), _least_variance(held_out.channels)), np.float64)
 
 
-def _half_widths(held_out: HeldOutPredictions) -> Float64:
+def half_widths(held_out: HeldOutPredictions) -> Float64:
     """Return (D,) half widths [counts]: one factor per modality times the deviation of each value."""
     channels = held_out.channels
     names = held_out.objects
@@ -350,7 +367,7 @@ def _coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, flo
     names = np.unique(held_out.objects)
     for name in names if len(names) > 1 else ():
         mine = held_out.take(held_out.objects == name)
-        inside = np.abs(mine.labels - mine.predicted) <= _half_widths(held_out.take(held_out.objects != name))
+        inside = np.abs(mine.labels - mine.predicted) <= half_widths(held_out.take(held_out.objects != name))
         for modality, shares in by_modality.items():
             shares[str(name)] = round(float(inside[:, held_out.channels.modality_columns[modality]].mean()), 3)
     return {

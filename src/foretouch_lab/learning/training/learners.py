@@ -41,6 +41,7 @@ class Learner(ABC):
 
     Attributes:
         config: Settings of the run.
+        data_name: Name of the dataset.
         sensor: That the samples are of.
         split: Partition of the dataset into training and test samples.
         samples: The labelled training samples.
@@ -57,6 +58,7 @@ class Learner(ABC):
     def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
         self.config = config
         self.split = split
+        self.data_name = data.name
         self.sensor = data.sensor
         self.samples = [data.filled[k] for k in split.train]
         faults = closing_faults(Grasps.of([sample.grasp for sample in self.samples]))
@@ -211,3 +213,9 @@ class NetworkLearner(Learner):
 
     def _fallback(self) -> Fallback:
         return Fallback.fit(BIOTAC, self._objects[self._chosen], self.labels[self._chosen])
+
+
+def make_learner(config: RunConfig, data: Dataset) -> Learner:
+    """Return the learner of the configured method for the configured part of a dataset."""
+    split = data.partition(config.split)
+    return (NetworkLearner if config.has_network else ContactLearner)(config, data, split)

@@ -3,8 +3,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,18 +13,17 @@ from foretouch.files import write_text
 from foretouch.models.card import card_text, read_card
 from foretouch.models.registry import load_model
 from foretouch.tactile.description import named_taxels, with_sensor
-from foretouch_lab.learning.data import Dataset, make_folds
-from foretouch_lab.learning.data.folds import SPLITS, predict_folds
-from foretouch_lab.learning.evaluation.baselines import BASELINES, predict_part, training_mean
+from foretouch_lab.learning.data import Dataset
+from foretouch_lab.learning.data.folds import SPLITS
 from foretouch_lab.learning.evaluation.evaluate import MODEL, evaluate_model
-from foretouch_lab.learning.evaluation.metrics import mean_skill, score
-from foretouch_lab.learning.training.calibration import GUESSED, calibration_folds, guarantee
+from foretouch_lab.learning.evaluation.metrics import mean_skill
+from foretouch_lab.learning.training.calibration import GUESSED, guarantee
+from foretouch_lab.learning.training.compare import Report, compare_splits
 from foretouch_lab.learning.training.contact import FEWEST_SAMPLES
-from foretouch_lab.learning.training.learners import ContactLearner, Learner, NetworkLearner
+from foretouch_lab.learning.training.learners import Learner, make_learner
 from foretouch_lab.learning.training.run_config import RunConfig
 from foretouch_lab.learning.training.run_folder import STATE_FILE, RunFolder
 
-Report = Callable[[Mapping[str, Any]], None]
 Scores = dict[str, dict[str, Any]]
 
 _SPLIT_WORDS: Final = {
@@ -69,7 +67,7 @@ def train_run(
     resolved = {**config.replace(data=None).to_mapping(), "data_sha256": data.sha256}
     folder.open(resolved, resume=resume)
     learner.fit(run=folder)
-    skill = compare_splits(learner, SPLITS, report, workers) if config.release else {}
+    skill = compare_splits(learner, SPLITS, report, workers).scores if config.release else {}
     facts = _facts(learner, data)
     calibration = None
     if config.calibrates:
@@ -103,46 +101,6 @@ def _require_readable(card: Path) -> None:
     except (ModelError, FileError) as err:
         card.unlink()
         raise DatasetError(f"the model that was trained cannot be read: {err}; do its labels vary?") from err
-
-
-def compare_splits(
-    learner: Learner, splits: Sequence[str], report: Report, workers: int = 1
-) -> dict[str, dict[str, Scores]]:
-    """Score a training method and the baselines on the training samples by cross-validation.
-
-    Args:
-        learner: The method; it is fitted to each fold.
-        splits: Names from `SPLITS`.
-        report: Called with the skills of each predictor on each split.
-        workers: Number of processes.
-
-    Returns:
-        By split, the scores of the model and the baselines by modality.
-    """
-    samples = learner.samples
-    labels = learner.labels
-    seed = learner.config.seed
-    ranges, results = learner.config.ranges(learner.sensor.channels), {}
-    predictors = {MODEL: learner.predict_fold}
-    predictors |= {name: partial(predict_part, baseline, samples, seed) for name, baseline in BASELINES.items()}
-    for split in splits:
-        condition = {"time": "known", "object": "new"}.get(split)  # whose folds the calibration uses
-        folds = calibration_folds(samples, seed)[condition][0] if condition else make_folds(samples, split, seed)
-        predicted = predict_folds({name: (predictor, folds) for name, predictor in predictors.items()}, workers)
-        reference, valid = predicted[training_mean.__name__], learner.sensor.valid_values
-        results[split] = {
-            name: score(values, labels, reference, ranges, valid=valid) for name, values in predicted.items()
-        }
-        for name, scores in results[split].items():
-            skills = {modality: round(row["skill"], 3) for modality, row in scores.items()}
-            report({"split": split, "who": name, "mean_skill": round(mean_skill(scores), 3), "skill": skills})
-    return results
-
-
-def make_learner(config: RunConfig, data: Dataset) -> Learner:
-    """Return the learner of the configured method for the configured part of a dataset."""
-    split = data.partition(config.split)
-    return (NetworkLearner if config.has_network else ContactLearner)(config, data, split)
 
 
 def _missing_grasps(learner: Learner) -> str:

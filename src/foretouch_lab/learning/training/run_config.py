@@ -2,11 +2,11 @@
 """Settings of one training, by whatever method, and how they are read."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from foretouch.config import EMPTY, Settings, load_yaml, parse_overrides, setting
 from foretouch.errors import ConfigError, nearest, quoted, shown
@@ -113,6 +113,19 @@ class RunConfig(Settings):
             self, self.method.replace("supervised", "train")
         )
         return own.seed
+
+    @classmethod
+    def from_card(cls, card: Mapping[str, Any], where: str | Path) -> Self:
+        """Return the settings that a model was trained with, as far as its card holds them.
+
+        Raises:
+            ConfigError: Names `where` the card was read: it holds none, or they are not of this version.
+        """
+        if card["kind"] == "contact":
+            return cls.from_mapping({"method": "contact", "contact": card["config"]}, str(where))
+        if not isinstance(card.get("training"), dict):
+            raise ConfigError(f"{where}: training: the card does not hold the settings of the training")
+        return cls.from_mapping(card["training"], f"{where}: training")
 
     def ranges(self, channels: Channels) -> Ranges:
         """Return ranges of the hand that the model learns from, which has a sensor of these channels."""

@@ -20,9 +20,18 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from scipy.optimize import nnls
 
 from foretouch.models.calibration import CalibrationGroup
-from foretouch.models.state_space import FAST_TIME_S, NEW, SLOW_TIME_S, TARE_NOISE, StateFilter, TrackerParameters
+from foretouch.models.state_space import (
+    FAST_TIME_S,
+    KNOWN,
+    NEW,
+    SLOW_TIME_S,
+    TARE_NOISE,
+    StateFilter,
+    TrackerParameters,
+)
 from foretouch.models.tracker import MISS_RATE, SensorTracker, innovation_statistics
 from foretouch.types import Float64
 from foretouch_lab.learning.prequential import TimedReadings, replay
@@ -215,6 +224,30 @@ def _with_intervals(parameters: TrackerParameters, recording: TimedReadings) -> 
     ]
     alarm = np.maximum(np.quantile(statistics, _ALARM_QUANTILE, axis=0), _LEAST_ALARM)
     return replace(parameters, factor=np.clip(factor, 0.1, 100.0), alarm=alarm)
+
+
+def widen_unread(parameters: TrackerParameters, known: Float64, new: Float64) -> TrackerParameters:
+    """Return the parameters with larger variances, so that intervals before any reading are about as wide as conformal ones.
+
+    A recording in order of time says little about an error that stays for all of it, such as the bias of a predictor that was
+    given as it is, and the replay adapts to it. It is added to the slow state for known objects, and what new objects need beyond to theirs.
+
+    Args:
+        parameters: Fitted to a recording.
+        known: (D,) conformal half widths of known objects [counts].
+        new: (D,) of new ones [counts].
+    """
+    squared = parameters.basis**2
+    factor = parameters.channels.by_modality(parameters.factor)
+
+    def lacking(parameters: TrackerParameters, kind: int, half: Float64) -> Float64:
+        states = parameters.slow + parameters.fast + parameters.object[kind] + parameters.noise[kind]
+        return np.asarray(nnls(squared, np.maximum((half / factor) ** 2 - squared @ states, 0.0))[0], np.float64)
+
+    wider = replace(parameters, slow=parameters.slow + lacking(parameters, KNOWN, known))
+    objects = wider.object.copy()
+    objects[NEW] += lacking(wider, NEW, new)
+    return replace(wider, object=objects)
 
 
 def fit_places(parameters: TrackerParameters, recording: TimedReadings) -> TrackerParameters:

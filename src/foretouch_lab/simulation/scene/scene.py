@@ -16,7 +16,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from foretouch.camera.config import ScheduleConfig
-from foretouch.config import Settings, load_yaml, setting
+from foretouch.config import Settings, load_description, setting
 from foretouch.errors import ConfigError
 from foretouch.grasp.hand import load_hand
 from foretouch.tactile import FULL_SCALE
@@ -177,7 +177,7 @@ class SceneConfig(Settings):
 
 def load_scene(path: str | Path) -> SceneConfig:
     """Read a scene file; a `ConfigError` names file, field and rule."""
-    return SceneConfig.from_mapping(load_yaml(path), str(path))
+    return load_description(path, SceneConfig, "a scene", ["families"])
 
 
 def scheduled_scene(schedule: ScheduleConfig) -> SceneConfig:

@@ -13,7 +13,7 @@ from foretouch.dataset.store import content_sha256
 from foretouch.types import Cloud
 from foretouch_lab.learning.data import load_dataset
 from foretouch_lab.learning.data.dataset import LazySample
-from foretouch_lab.learning.training.run import make_learner
+from foretouch_lab.learning.training.learners import make_learner
 
 
 def test_a_store_gives_the_samples_that_were_written(samples, store) -> None:

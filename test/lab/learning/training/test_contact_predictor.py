@@ -23,7 +23,7 @@ from foretouch_lab.learning.data.dataset import dataset_of
 from foretouch_lab.learning.data.folds import predict_folds
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group, guarantee
 from foretouch_lab.learning.training.contact import ContactPredictor, describe_samples, fit_contact
-from foretouch_lab.learning.training.run import make_learner
+from foretouch_lab.learning.training.learners import make_learner
 from foretouch_lab.learning.training.run_config import load_run_config
 
 BARE = make_samples(5, 10)

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictors of the user: how they are found, and what a bad one gives."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from contact_model_builders import can_with_grasps
+from own_predictors import MEAN, Bad, Constant, Familiar, Memory, NoTable
+
+from foretouch.errors import ModelError
+from foretouch.models.own import find_predictor, save_own
+from foretouch.models.registry import load_model
+from foretouch.models.touch_model import TouchModel
+from foretouch.types import Cloud
+
+CAN, GRASPS = can_with_grasps(3)
+CARD = {"kind": "own", "name": "bad", "sha256": ""}
+
+
+def test_a_predictor_is_an_object_a_class_or_a_name() -> None:
+    predictor = Constant()
+    assert find_predictor(predictor) is predictor
+    for named in (Constant, "own_predictors:Constant", lambda: predictor):
+        assert isinstance(find_predictor(named), Constant)
+
+
+@pytest.mark.parametrize(
+    ("named", "message"),
+    [
+        ("own_predictors:Nothing", "own_predictors:Nothing: AttributeError: module 'own_predictors' has no attribute"),
+        ("no_such_module:Mine", "no_such_module:Mine: ModuleNotFoundError: No module named"),
+        ("mine", "mine: is neither module:attribute nor an entry point of the group foretouch.models"),
+        (object(), r"builtins:object has no estimate\(cloud, grasps, table=None\)"),
+        (NoTable, r"own_predictors:NoTable.estimate must take \(cloud, grasps, table=None\): too many positional"),
+    ],
+)
+def test_what_is_no_predictor_is_refused_in_one_line(named, message: str) -> None:
+    with pytest.raises(ModelError, match=f"^predictor: {message}"):
+        find_predictor(named)
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("shape", r"estimate: returned counts of shape \(3, 7\); 3 grasps and 50 values need \(3, 50\)"),
+        ("error", r"bad: estimate: ZeroDivisionError: division by zero \(own_predictors.py:\d+\)"),
+        ("text", r"returned counts of shape \(\)"),
+        ("familiar", r"returned familiar of shape \(4,\); 3 grasps need \(3,\)"),
+        ("exit", r"bad: estimate: SystemExit: 3 \(own_predictors.py:\d+\)"),
+    ],
+)
+def test_a_predictor_that_fails_is_named_in_one_line(fault: str, message: str) -> None:
+    predictor = Bad()
+    predictor.fault = fault
+    with pytest.raises(ModelError, match=message) as caught:
+        TouchModel(predictor, CARD).predict(CAN, GRASPS)
+    assert "\n" not in str(caught.value)
+
+
+def test_rows_that_are_not_finite_are_refused_and_the_others_stay() -> None:
+    predictor = Bad()
+    predictor.fault = "nan"
+    predictions = TouchModel(predictor, CARD).predict(CAN, GRASPS)
+    assert predictions.status.tolist() == ["refused", "ok", "ok"]
+    assert predictions.reason[0] == "the model gives a value that is not finite"
+    with pytest.raises(ModelError, match="bad: the model gives a value that is not finite"):
+        TouchModel(predictor, CARD).estimate_executed(CAN, GRASPS)
+
+
+def test_a_predictor_flags_what_it_says_is_unfamiliar_and_nothing_if_it_does_not() -> None:
+    thin = Cloud(CAN.xyz * [1.0, 0.3, 1.0])
+    for predictor, cloud, flags in ((Familiar(), CAN, ()), (Familiar(), thin, ("unfamiliar",)), (Constant(), thin, ())):
+        predictions = TouchModel(predictor, CARD).predict(cloud, GRASPS)
+        assert [tuple(flag for flag in row if flag == "unfamiliar") for row in predictions.flags] == [flags] * 3
+        assert np.array_equal(predictions.value.reshape(3, -1), np.tile(MEAN, (3, 1))) or predictions.ok.all()
+
+
+def test_what_was_learned_is_saved_and_another_predictor_is_refused(tmp_path) -> None:
+    memory = Memory(np.array([grasp.g1 for grasp in GRASPS]), MEAN + 20.0 * np.arange(3)[:, None])
+    card = save_own(tmp_path / "mine" / "memory.json", memory, {})
+    again = load_model(tmp_path / "mine", "own_predictors:Memory")
+    assert np.array_equal(again.estimate(CAN, GRASPS).counts, MEAN + 20.0 * np.arange(3)[:, None])
+    with pytest.raises(
+        ModelError, match="own_predictors:Constant answers other numbers than the predictor of this model"
+    ):
+        load_model(card, Constant)
+    with pytest.raises(ModelError, match="kind: contact has a predictor already"):
+        load_model("contact-v3", Constant)
+
+
+def test_a_card_makes_nothing_import(tmp_path, monkeypatch) -> None:
+    card = save_own(tmp_path / "mine.json", Constant(), {})
+    (tmp_path / "planted.py").write_text("class Constant: pass\n")
+    card.write_text(json.dumps(json.loads(card.read_text()) | {"predictor": "planted:Constant"}))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ModelError, match=r"is made of planted:Constant, and no card makes foretouch import code"):
+        load_model(card)
+    assert "planted" not in sys.modules
+    assert load_model(card, "own_predictors:Constant").name == "mine"

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictors as a user writes them, good and bad: this module is also imported by its name."""
+
+import time
+
+import numpy as np
+
+import foretouch as ft
+
+MEAN = np.concatenate([[2820.0, 1780.0], 3000.0 + 25.0 * np.linspace(1.0, 5.0, 24), np.full(24, 3200.0)])
+
+
+class Constant:
+    """Returns one reading for every grasp."""
+
+    def estimate(self, cloud, grasps, table=None):
+        return np.tile(MEAN, (len(grasps), 1))
+
+
+class Memory:
+    """Knows by heart what it was fitted to, and returns the mean for what it was not."""
+
+    def __init__(self, keys=None, values=None):
+        self.keys, self.values = keys, values
+
+    def fit(self, samples):
+        self.keys = np.array([sample.grasp.g1 for sample in samples])
+        self.values = np.array([sample.touch.values for sample in samples])
+
+    def estimate(self, cloud, grasps, table=None):
+        return np.array([self._of(g1) for g1 in grasps.g1])
+
+    def _of(self, g1):
+        same = (self.keys == g1).all(axis=1)
+        return self.values[same][0] if same.any() else self.values.mean(axis=0)
+
+    def to_tensors(self):
+        return {"keys": self.keys, "values": self.values}
+
+    @classmethod
+    def from_tensors(cls, tensors):
+        return cls(tensors["keys"], tensors["values"])
+
+
+class Familiar(Constant):
+    """Says that grasps on thick objects resemble its training."""
+
+    def estimate(self, cloud, grasps, table=None):
+        return ft.Estimate(
+            super().estimate(cloud, grasps), familiar=np.ptp(cloud.finite[:, 1]) > 0.05 + 0.0 * grasps.g1[:, 0]
+        )
+
+
+class Bad(Constant):
+    """Is right until it is told how to fail."""
+
+    fault = ""
+
+    def estimate(self, cloud, grasps, table=None):
+        counts = super().estimate(cloud, grasps)
+        if self.fault == "shape":
+            return counts[:, :7]
+        if self.fault == "nan":
+            return np.where(np.arange(len(grasps))[:, None] == 0, np.nan, counts)
+        if self.fault == "error":
+            return 1 / 0
+        if self.fault == "text":
+            return "2800"
+        if self.fault == "familiar":
+            return ft.Estimate(counts, familiar=np.ones(len(grasps) + 1, bool))
+        if self.fault == "exit":
+            raise SystemExit(3)
+        if self.fault == "slow":
+            time.sleep(1.5)
+        return counts
+
+
+class NoTable:
+    def estimate(self, cloud, grasps):
+        return np.tile(MEAN, (len(grasps), 1))
