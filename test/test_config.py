@@ -7,6 +7,7 @@ from every_case import every_case, every_refusal
 
 from foretouch.config import Settings, load_yaml, parse_overrides, setting, setting_infos
 from foretouch.errors import ConfigError
+from foretouch.pipeline import PipelineConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,16 @@ def test_plain_data_with_nested_or_dotted_keys_reads_back() -> None:
     assert made.point == (1.0, 2.5)
     changed = made.updated({"inner.range_m": 1})
     assert (changed.count, changed.inner.range_m, changed.inner.mode) == (5, 1.0, "far")
+
+
+def test_dotted_and_nested_keys_together_lose_no_setting_in_either_order() -> None:
+    dotted, nested = {"segmentation.crop.min_range_m": 0.4}, {"segmentation": {"crop": {"max_range_m": 1.5}}}
+    for given in ({**dotted, **nested}, {**nested, **dotted}):
+        crop = PipelineConfig.from_mapping(given).segmentation.crop
+        assert (crop.min_range_m, crop.max_range_m) == (0.4, 1.5)
+    for both in ({"segmentation.crop": 1, **dotted}, {**dotted, "segmentation.crop": 1}):
+        with pytest.raises(ConfigError, match="crop is a value and a group at once"):
+            PipelineConfig.from_mapping(both)
 
 
 def test_refusals_name_field_value_and_rule() -> None:

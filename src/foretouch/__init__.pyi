@@ -10,6 +10,7 @@ from .models.predictor import Estimate as Estimate
 from .models.registry import available_models as available_models, load_model as load_model
 from .models.touch_model import History as History, TouchModel as TouchModel
 from .pipeline import Pipeline as Pipeline, PipelineConfig as PipelineConfig
+from .stream import Stream as Stream, StreamConfig as StreamConfig
 from .types import (
     CameraModel as CameraModel,
     Cloud as Cloud,

@@ -180,7 +180,8 @@ def evaluate(
     Args:
         models: A model, a predictor as of `calibrate`, or the name of a recipe of `foretouch train`; or several of them by name.
         samples: Labelled samples, or the path of a dataset.
-        splits: What is left out: `random`, `time` and `object`, as of `SampleSet.split`.
+        splits: What is left out: `random`, `time` and `object`, as of `SampleSet.split`; and `touches`, the first three grasps on each
+            object left out in order of time, each adapted to the readings of those before.
         refit: Whether models and predictors are fitted again without the samples of each fold; by default predictors that can be.
             Models that are given as they are lose the samples that they were trained on.
         seed: Of random folds and of the baselines.

@@ -420,7 +420,7 @@ def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
 
 
 def _nested(mapping: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Convert dotted keys to nested mappings."""
+    """Convert dotted keys to nested mappings; of a key that is given in both forms, the later value counts."""
     result: dict[str, Any] = {}
     for key, value in mapping.items():
         path = str(key).split(".")
@@ -430,7 +430,9 @@ def _nested(mapping: Mapping[str, Any], source: str) -> dict[str, Any]:
             if not isinstance(group, dict):
                 raise ConfigError(f"{source}: {shown(key)}: {shown(name)} is a value and a group at once")
         if isinstance(value, Mapping):
-            group.update(_nested(value, source))
+            _merge(group, _nested(value, source))
+        elif isinstance(group.get(path[-1]), dict):
+            raise ConfigError(f"{source}: {shown(key)}: {shown(path[-1])} is a value and a group at once")
         else:
             group[path[-1]] = value
     return result

@@ -9,6 +9,7 @@ bit-equal output wherever it is run.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +44,7 @@ class PipelineConfig(Summarised, Settings):
     model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
-        defaults = flattened(PipelineConfig().to_mapping())
+        defaults = flattened(type(self)().to_mapping())
         changed = {name: value for name, value in flattened(self.to_mapping()).items() if value != defaults.get(name)}
         return "other than the defaults:" if changed else "defaults", {k: shown(v) for k, v in changed.items()}
 
@@ -66,6 +67,25 @@ class PipelineResult(Summarised):
     scene: Scene | None  # none where the cloud holds only an object
     targets: tuple[TargetResult, ...]  # the objects to grasp with their predictions, best first
     ms: dict[str, float]  # wall time of the steps `segment`, `grasp`, `touch` that ran, and `total` [ms]
+
+    @classmethod
+    def of(cls, scene: Scene | None, results: Sequence[TargetResult], ms: dict[str, float]) -> Self:
+        """Combine the results of all targets.
+
+        Args:
+            scene: The scene; None where the cloud holds only an object.
+            results: Of each target; there is one without a scene.
+            ms: Wall time of the steps [ms].
+        """
+        ms = ms | {"total": sum(ms.values())}
+        refused = None
+        for result in results:
+            if result.predictions.ok.any():
+                return cls("ok", "", scene, tuple(results), ms)
+            if refused is None and result.predictions:
+                refused = result.predictions[0]
+        last: Any = refused or (results[0].plan if results else scene)
+        return cls(last.status, last.reason, scene, tuple(results), ms)
 
 
 class Pipeline(Summarised):
@@ -259,20 +279,4 @@ class Pipeline(Summarised):
                 plan = self.plan(target)
             with timed(ms, "touch"):
                 results.append(TargetResult(target, plan, self.predict(target, plan.grasps)))
-        ms["total"] = sum(ms.values())
-        status, reason = ("no_target", "") if scene is None else (scene.status, scene.reason)
-        if results:
-            status, reason = _outcome(results)
-        return PipelineResult(status, reason, scene, tuple(results), ms)
-
-
-def _outcome(results: Sequence[TargetResult]) -> tuple[str, str]:
-    """Return status and reason for all objects: "ok" with any prediction, else of the first refused grasp, or of the first plan."""
-    refused = None
-    for result in results:
-        if result.predictions.ok.any():
-            return "ok", ""
-        if refused is None and result.predictions:
-            refused = result.predictions[0]
-    plan = results[0].plan
-    return (plan.status, plan.reason) if refused is None else (refused.status, refused.reason)
+        return PipelineResult.of(scene, results, ms)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Descriptions of hands, and grasps that hands with a palm can take."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from foretouch.errors import ConfigError
 from foretouch.grasp import GeoGraspConfig, HandConfig, Obstacles, plan_grasps
 from foretouch.grasp.frame import PREFERRED
 from foretouch.grasp.hand import Hand, HandDescription, hand_files, load_hand
+from foretouch.tactile.description import load_sensor
 from foretouch.types import Float64, Grasps
 from foretouch.types.grasps import TILTS
 
@@ -283,6 +286,31 @@ def test_a_description_is_read_once_and_again_when_it_was_edited(tmp_path: Path)
         path.write_text(_described({"opening_m": opening_m}), encoding="utf-8")
         assert load_hand(path).config.opening_m == opening_m
         assert load_hand(path) is load_hand(str(path))
+
+
+def test_a_file_named_as_a_hand_or_sensor_of_the_package_is_not_taken_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever lies in the working folder, the package can be imported and its names mean its own descriptions."""
+    for name in ("two_tips", "franka_hand", "biotac_sp"):
+        (tmp_path / name).write_text("hello", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    code = "import foretouch; from foretouch.grasp.config import HandConfig as H; print(H().opening, H(name='franka_hand').opening)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["0.1", "0.076"]
+    assert load_sensor("biotac_sp").config.name == "biotac_sp"
+
+
+def test_a_hand_whose_file_is_edited_or_removed_stays_as_it_was_for_the_plans_of_its_settings(tmp_path: Path) -> None:
+    path = tmp_path / "hand.yaml"
+    path.write_text(_described({}), encoding="utf-8")
+    cloud, table = Camera(50.0).see(LOW), Camera(50.0).table()
+    hand = HandConfig(name=str(path))
+    before = plan_grasps(cloud, table, CONFIG, hand=hand).grasps
+    for change in (lambda: path.write_text("{", encoding="utf-8"), path.unlink):
+        change()
+        np.testing.assert_array_equal(plan_grasps(cloud, table, CONFIG, hand=hand).grasps.g1, before.g1)
+        assert hand.hand.config.name == "franka_hand"
 
 
 def test_descriptions_that_break_a_rule_are_refused(tmp_path: Path) -> None:

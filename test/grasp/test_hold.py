@@ -38,6 +38,20 @@ def test_a_held_grasp_is_kept_until_another_is_better_by_the_margin(box_cloud: C
     np.testing.assert_array_equal(contacts(left), contacts(new))
 
 
+def test_a_held_grasp_takes_the_place_of_its_twin_and_no_better_grasp_is_lost() -> None:
+    """Whichever of the planned grasps was held, the answer has it first and once, then the others best first, five in all."""
+    camera, config = Camera(55.0), CONFIG.replace(count=5)
+    cloud, table = camera.see(box(0.05, 0.08, 0.1), yaw=0.3), camera.table()
+    new = plan_grasps(cloud, table, config.replace(count=6)).grasps
+    for k in range(5):
+        kept = plan_grasps(cloud, table, config, held=(new[k], 0), hold=1000.0).grasps
+        both = np.maximum(*(np.linalg.norm(ends - ends[k], axis=1) for ends in (new.g1, new.g2)))
+        others = np.flatnonzero(both >= 0.01)
+        np.testing.assert_array_equal(kept.g1, np.vstack([new.g1[k], new.g1[others][:4]]))
+        np.testing.assert_array_equal(kept.score[1:], new.score[others][:4])
+        assert len(kept) == 5 or len(others) < 4
+
+
 def test_an_object_is_the_same_within_the_tolerance_of_its_first_cloud(box_cloud: Cloud, top_view: Plane) -> None:
     hold = GraspHold(0.005)
     held = best(plan_grasps(box_cloud, top_view, CONFIG))

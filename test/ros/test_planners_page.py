@@ -11,8 +11,8 @@ from foretouch.grasp.reach import OFF_OBJECT
 from foretouch.models.equal_pressure import EQUAL_PRESSURE
 from foretouch.models.predictor import UNFAMILIAR
 from foretouch.models.touch_model import NO_TABLE, SIMILAR_TOUCHES
-from foretouch.ros.steps.selection import SELECTED
 from foretouch.ros.steps.touch_settings import COSTS
+from foretouch.stream import SELECTED
 from foretouch.types import LATE, UNKNOWN_FRAME
 from foretouch_msgs.msg import Status, TouchPrediction
 

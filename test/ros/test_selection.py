@@ -7,9 +7,12 @@ from geometry_msgs.msg import Point, PointStamped
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 
+import foretouch as ft
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import stamp_to_msg
+from foretouch.stream import Stream, StreamConfig
+from foretouch.types import Cloud
 from foretouch_msgs.msg import GraspArray, ObjectArray, Status, TouchPredictionArray
 
 pytestmark = pytest.mark.ros
@@ -114,3 +117,71 @@ def test_the_labels_of_a_mask_of_the_same_stamp_are_the_objects(graph, model_car
     graph.set(table.node, mask_wait_s=0.0)
     missing = table.send(scene_cloud(0, stamp_ns=START + 3))
     assert missing["touch"].reason.startswith("mask: no mask of this stamp came within 0 s on ")
+
+
+def test_the_answers_to_a_stream_are_those_of_the_library_through_clicks_and_other_settings(
+    graph, scene_cloud, model_card
+):
+    """Ids, held grasps, the clicked object and `target.mode` free with the planner's own settings, to the bit."""
+    given = {"grasp.count": 3, "grasp_hold": 0.3, "hand.name": "franka_hand", "limits.max_extent_m": 0.8}
+    stream = Stream(StreamConfig().updated({"model": model_card, "target.mode": "free", **given}, "test"))
+    table = Table(graph, model=model_card, **{"target.mode": "free", **given})
+    rng = np.random.default_rng(2)
+    still, answers = scene_cloud(1), []
+    for number in range(6):
+        xyz = still.xyz * (1.0 + rng.normal(0.0, 0.0005, (*still.xyz.shape[:2], 1)))
+        cloud = Cloud(xyz.astype(np.float32), None, still.frame_id, START + number * 33_000_000)
+        if number == 2:
+            clicked = answers[-1].scene.objects[-1]
+            table.click(clicked.cloud.xyz[5], cloud.frame_id)
+            stream.select(clicked.id)
+        if number == 4:
+            graph.set(table.node, late_after_s=1.0)  # no part of it
+        heard, found = table.send(cloud), stream.answer(cloud)
+        answers.append(found)
+        assert [str(object_.id) for object_ in heard["objects"].objects] == [one.id for one in found.scene.objects]
+        planned = [grasp for one in found.targets for grasp in one.plan.grasps]
+        assert planned
+        assert [grasp.id for grasp in heard["grasps"].grasps] == [grasp.id for grasp in planned]
+        assert [grasp.score for grasp in heard["grasps"].grasps] == [np.float32(grasp.score) for grasp in planned]
+        contacts = [[grasp.g1.x, grasp.g1.y, grasp.g1.z] for grasp in heard["grasps"].grasps]
+        np.testing.assert_array_equal(contacts, [grasp.g1 for grasp in planned])
+        rows = ft.reading(heard["touch"])
+        values = np.concatenate([one.predictions.value for one in found.targets])
+        np.testing.assert_array_equal(rows.value.astype(np.float32), values.astype(np.float32))
+        assert [set(own) - {"late"} for own in rows.flags] == [
+            set(own) for one in found.targets for own in one.predictions.flags
+        ]
+        assert ("selected" in rows.flags[0]) == (number >= 2)
+        assert all(len(set(own)) == len(own) for own in rows.flags)
+
+
+def test_touch_comes_after_the_objects_and_grasps_that_it_refers_to_and_one_answer_for_each_stamp(
+    graph, scene_cloud, model_card, monkeypatch
+):
+    """Also where publishing one of them fails: the others stay the answer to their cloud."""
+    table = Table(graph, model=model_card)
+    order = []
+    for topic, publisher in (
+        ("objects", table.node._segmentation._objects),
+        ("grasps", table.node._planner._grasps),
+        ("touch", table.node._touch._touch),
+    ):
+        real = publisher.publish
+        monkeypatch.setattr(
+            publisher, "publish", lambda message, real=real, topic=topic: (order.append(topic), real(message))
+        )
+    table.send(scene_cloud(0, stamp_ns=START))
+    assert order == ["objects", "grasps", "touch"]
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("no more")
+
+    monkeypatch.setattr(type(table.node._planner), "publish", fail)
+    found = table.send(scene_cloud(0, stamp_ns=START + 1))
+    assert order[3:] == ["objects", "grasps", "touch"]
+    assert (found["grasps"].status, found["touch"].status, found["objects"].status) == (
+        Status.FAILED,
+        Status.OK,
+        Status.OK,
+    )

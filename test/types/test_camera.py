@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth images to points: by hand, against librealsense, and against an inverse by SciPy and one of 40 digits."""
 
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,17 @@ def test_distortion_is_undone(distortion: tuple[float, ...]) -> None:
         goal = np.array([u[row, column], v[row, column]])
         found = least_squares(lambda p, goal=goal: np.subtract(_distorted(*p, distortion), goal), goal, xtol=1e-15)
         np.testing.assert_allclose([x[row, column], y[row, column]], found.x, rtol=2e-7, atol=1e-7)
+
+
+def test_a_large_distorted_image_takes_the_memory_of_its_rays_and_little_more() -> None:
+    camera = CameraModel(2000, 1500, 1900.0, 1900.0, 1000.0, 750.0, (0.11, -0.23, 0.001, 0.002, 0.05))
+    tracemalloc.start()
+    x, y = camera.rays
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < x.nbytes + y.nbytes + 20e6
+    part = CameraModel(100, 75, 1900.0, 1900.0, 50.0, 37.5, camera.distortion)  # the middle of it, computed at once
+    np.testing.assert_allclose(x[712:787, 950:1050], part.rays[0], atol=1e-7)
 
 
 def test_points_of_a_distorted_image_are_on_its_rays() -> None:

@@ -47,7 +47,7 @@ def _everything() -> list[Any]:
         *(grasps.way[0], touch, touch[0], touch["E"], touch[0].value, touch[0].evidence, refused, refused[0]),
         *(ft.Touch.unknown(channels), channels, touch.channels, history, ft.History(model), model, model.sensor),
         *(model.estimate(target.cloud, grasps), sample, named, named.series or sample.readings, opened),
-        *(ft.Pipeline(), ft.PipelineConfig(), ft.PipelineConfig.from_mapping(changed), ft.ForetouchError(LONG)),
+        *(ft.Stream(), ft.Stream(history=history), ft.StreamConfig(grasp_hold=1.0), ft.Pipeline(), ft.PipelineConfig(), ft.PipelineConfig.from_mapping(changed), ft.ForetouchError(LONG)),
         *(result, result.targets[0], ft.Pipeline().plan(target), Obstacles(np.zeros((0, 3)), np.zeros(0))),
     ]  # fmt: skip
 

@@ -29,6 +29,7 @@ COMMANDS = {
     "train": "Train a touch model from a configuration",
     "evaluate": "Evaluate a touch model and the baselines on a dataset",
     "experiment": "Run an experiment and write its tables, figures and manifest",
+    "benchmark": "Score touch models and baselines on the same held-out grasps: the leaderboard",
     "tradeoff": "Measure what accuracy costs in time, and draw the frontier",
     "run": "Run the whole ROS graph in one terminal",
     "record": "Record grasps and tactile readings to a dataset",
@@ -40,7 +41,7 @@ COMMANDS = {
     "hand": "List, check and draw descriptions of hands and grippers",
     "doctor": "Check dependencies and print the fixes",
 }
-_LABORATORY = ("simulate", "train", "evaluate", "experiment", "tradeoff")
+_LABORATORY = ("simulate", "train", "evaluate", "experiment", "benchmark", "tradeoff")
 """Commands that need `pip install 'foretouch[lab]'`."""
 
 

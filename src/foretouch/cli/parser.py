@@ -49,6 +49,7 @@ EXAMPLES: Final = {
     "train": "foretouch train contact-v3 data=store -o can_model",
     "evaluate": "foretouch evaluate contact-v3 store --split object",
     "experiment": "foretouch experiment cross_validation -o out --preset quick",
+    "benchmark": "foretouch benchmark touch --model my_lab.mine:Mine -o out",
     "tradeoff": "foretouch tradeoff model -o out",
     "run": "foretouch run --source config/scenes/clean.yaml --count 30 --picture touch.png",
     "record": "foretouch record -o session --object can --samples 20",

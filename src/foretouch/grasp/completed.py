@@ -28,6 +28,7 @@ from foretouch.errors import CloudError
 from foretouch.grasp.config import HandConfig
 from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
 from foretouch.grasp.hand import UNLIMITED_M
+from foretouch.grasp.hold import APART_M
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel, struct
 from foretouch.types import Bool, Float32, Float64, Grasp, Int64, Plane, WayIn
@@ -74,7 +75,6 @@ _OTHER_THUMB_DEG = (
 )
 _OTHER_SIDE_DEG = 1.0  # of tilting, for which the palm comes from the other side
 _NEAR_DEG = 4.0  # of tilting, in which the weight of an angle beside the best falls by a factor of e
-APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
 COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
 

@@ -2,6 +2,7 @@
 """Settings of the grasp planner, and what the hand can execute."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, get_args
 
 from foretouch.config import Settings, setting
@@ -87,13 +88,13 @@ class HandConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         try:
-            load_hand(self.name)
+            _ = self.hand
         except ConfigError as err:
             raise ConfigError(f"name: {err}") from err
 
-    @property
+    @cached_property
     def hand(self) -> Hand:
-        """The described hand."""
+        """The described hand, as its file was when these settings were made."""
         return load_hand(self.name)
 
     @property

@@ -22,7 +22,6 @@ from foretouch.cloud.timing import timed
 from foretouch.errors import CloudError, FrameError, GraspError
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.completed import (
-    APART_M,
     COMPLETED_POINTS,
     SCORE_OF_NONE,
     CompletedObject,
@@ -33,7 +32,7 @@ from foretouch.grasp.completed import (
 )
 from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig
 from foretouch.grasp.frame import object_frame, weigh_points
-from foretouch.grasp.hold import HeldGrasp, held_or_new
+from foretouch.grasp.hold import APART_M, HeldGrasp, keep_held
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
@@ -76,8 +75,8 @@ class PlanOptions(TypedDict, total=False):
     pixels: Integer | None  # (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it
     image_shape: tuple[int, int] | None  # (H, W) of that image
     limits: ObjectLimits  # range and size of objects; others have no grasp
-    # Best grasp of this object in the previous cloud of a stream. Method "completed" returns it again unless another one is
-    # better by more than `hold`, on three clouds in a row.
+    # Best grasp of this object in the previous cloud of a stream. Method "completed" returns it again, first and in the place
+    # of its twin, unless another one is better by more than `hold`, on three clouds in a row.
     held: HeldGrasp | None
     hold: float  # in units of the score; by default 0
     hand: HandConfig  # what the hand can execute; method "completed" only
@@ -216,7 +215,7 @@ def _plan_completed(
         counts |= lines.counts
         plan.lost, plan.blocked_by = lines.lost, blocking_objects(lines, obstacles)
     with timed(plan.ms, "ranking"):
-        best = best_grasps(completed, lines, config.count)
+        best = best_grasps(completed, lines, config.count + (held is not None))  # one may be the twin of the held
         counts |= lines.counts
         plan.grasps = Grasps.of(
             [Grasp(g1, g2, hand_rotation(g1, g2, axis), SCORE_OF_NONE - cost, way=way) for (g1, g2), way, cost in best]
@@ -226,8 +225,8 @@ def _plan_completed(
             if completed.way_in(*as_in_image(held[0]))[0] is None:
                 cost = np.inf
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
-            first, plan.outdone = held_or_new(held, held_score, plan.grasps[0], options.get("hold", 0.0))
-            plan.grasps = Grasps.of([first, *plan.grasps[1:]])
+            grasps, plan.outdone = keep_held(held, held_score, plan.grasps, options.get("hold", 0.0))
+            plan.grasps = grasps[: config.count]
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
         plan.status, plan.reason = "ok", f"the best of {counts['n_free']} possible grasps ({counts['n_lines']} tried)"

@@ -379,7 +379,7 @@ def load_hand(hand: str | Path) -> Hand:
     """Read a description, once, and again when its file was changed.
 
     Args:
-        hand: A YAML file, or the name of a description that comes with the package, such as `franka_hand`.
+        hand: The name of a description that comes with the package, such as `franka_hand`, or a YAML file.
 
     Raises:
         ConfigError: If there is none, or it breaks a rule; names file, field and rule.
@@ -400,6 +400,10 @@ def _read_hand(path: Path, _changed_ns: int) -> Hand:
         raise ConfigError(f"{shown(path)}: {err}") from err
 
 
-def tool_of(hand: str | Path) -> str:
-    """Return the name of the tool frame of a description; "" without a hand, or of one whose description names none."""
+@cache
+def tool_of(hand: str) -> str:
+    """Return the name of the tool frame of a description; "" without a hand, or of one whose description names none.
+
+    The file is read once, so that no answer fails where it was edited or removed since.
+    """
     return load_hand(hand).config.tool if hand else ""

@@ -2,11 +2,15 @@
 """Keep the best grasp of an object from cloud to cloud of a stream."""
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from foretouch.cloud.geometry.columns import centred_columns
-from foretouch.types import Cloud, Float64, Grasp
+from foretouch.types import Cloud, Float64, Grasp, Grasps
+
+APART_M: Final = 0.01
+"""Distance by which grasps of one plan differ in one of their contacts, at least."""
 
 _OUTDONE = 3  # clouds in a row on which another grasp must be better
 
@@ -74,17 +78,27 @@ class GraspHold:
         return None
 
 
-def held_or_new(held: HeldGrasp, held_score: float, new: Grasp, margin: float) -> tuple[Grasp, int]:
-    """Return the held grasp with its score on the present cloud, unless another is better by more than the margin.
+def keep_held(held: HeldGrasp, held_score: float, planned: Grasps, margin: float) -> tuple[Grasps, int]:
+    """Put the held grasp first, with its score on the present cloud, unless another is better by more than the margin.
 
-    It must be better on several clouds in a row: in a single image, noise may join a part of the table to the object.
+    It must be better on several clouds in a row: in a single image, noise may join a part of the table to the object. Grasps
+    that are the held one again are left out.
 
     Returns:
-        The best grasp, and for how many clouds in a row it has been outdone.
+        The grasps, and for how many clouds in a row the held one has been outdone.
     """
     grasp, before = held
-    outdone = 0 if new.score <= held_score + margin else before + 1
-    return (replace(grasp, score=held_score, id=""), outdone) if outdone < _OUTDONE else (new, 0)
+    outdone = 0 if planned.score[0] <= held_score + margin else before + 1
+    if outdone >= _OUTDONE:
+        return planned, 0
+    others = [other for other in planned if not is_twin(other, grasp)]
+    return Grasps.of([replace(grasp, score=held_score, id=""), *others]), outdone
+
+
+def is_twin(one: Grasp, other: Grasp) -> bool:
+    """Return whether two grasps are the same on a plan: both contacts are nearer than the least distance of two of its grasps."""
+    apart = np.linalg.norm(_contacts(one) - _contacts(other), axis=1)
+    return bool((apart < APART_M).all())
 
 
 def _contacts(grasp: Grasp) -> Float64:

@@ -13,7 +13,7 @@ from foretouch.types import Bool, Float64, Floating, Grasp, Grasps, Index
 from foretouch.types.rotations import require_none
 
 _SAMPLED = 256  # points tried first: one within reach is sufficient
-_TOGETHER = 16  # of them at a time, for many grasps
+_TOGETHER = 8192  # pairs of a point and a contact at a time
 _OFF_M = 0.02  # from the object and what it hides, where a contact is in the air; planned ones are nearer
 
 OFF_OBJECT: Final = "off_object"
@@ -81,10 +81,10 @@ def in_the_air(grasps: Grasps, cloud_xyz: Floating) -> Bool:
         grasps: K grasps of finite contacts, in the frame of the camera.
         cloud_xyz: (..., 3) floating [m], the object's points; those that are not finite are ignored.
     """
-    points, found = cloud_xyz.reshape(-1, 3), np.zeros(len(grasps), np.bool_)
-    for contacts in (grasps.g1, grasps.g2):
-        found[_off(points, contacts, _OFF_M, _near_or_hidden)] = True
-    return found
+    found = np.zeros((2, len(grasps)), np.bool_)
+    contacts = np.concatenate([grasps.g1, grasps.g2])
+    found.ravel()[_off(cloud_xyz.reshape(-1, 3), contacts, _OFF_M, _near_or_hidden)] = True
+    return np.asarray(found.any(axis=0), np.bool_)
 
 
 def _off(
@@ -95,8 +95,8 @@ def _off(
     A sample of the points is tried first, its middle one before the others: it is within reach of most contacts.
     """
     few = points[:: max(1, len(points) // _SAMPLED)]
-    middle = len(few) // 2
-    parts = [few[middle : middle + 1], *(few[k : k + _TOGETHER] for k in range(0, len(few), _TOGETHER))]
+    middle, step = len(few) // 2, max(16, _TOGETHER // max(1, len(contacts)))
+    parts = [few[middle : middle + 1], *(few[k : k + step] for k in range(0, len(few), step))]
     left = np.arange(len(contacts))
     for part in parts:
         left = left[~near(part, contacts[left], distance_m)]

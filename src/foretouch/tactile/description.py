@@ -328,7 +328,7 @@ def load_sensor(sensor: str | Path) -> Sensor:
     """Read a description and its taxels.
 
     Args:
-        sensor: A YAML file, or the name of a description that comes with the package, such as `biotac_sp`.
+        sensor: The name of a description that comes with the package, such as `biotac_sp`, or a YAML file.
 
     Raises:
         ConfigError: If there is none, or it breaks a rule; names file, field and rule.

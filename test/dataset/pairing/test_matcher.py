@@ -122,6 +122,17 @@ def test_reports_that_are_repeated_unplanned_ambiguous_or_of_a_lost_cloud_are_re
     world.clouds.add(stamp, other, 0.0)
     world.report(2)
     assert world.reasons() == ["grasp_ambiguous", "cloud_ambiguous"]
+    unknown = Session(1)
+    unknown.report(0, "nonsense")
+    (refused,) = unknown.matcher.poll(10.0)  # who reports it names the grasp once
+    assert (refused.grasp_id, "nonsense" in refused.message) == ("nonsense", False)
+    again = Session(2)  # planned on two clouds, of which the first is forgotten: the other one is meant
+    again.feel()
+    forgotten = again.plan(0, "same")
+    again.plan(1, "same")
+    again.matcher.forget_plan(forgotten)
+    again.report(1, "same")
+    assert again.reasons() == ["recorded"]
     gone = Session(1)
     gone.feel()
     gone.plan(0)

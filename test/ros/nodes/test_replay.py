@@ -17,6 +17,8 @@ from foretouch.cloud.io.files import write_cloud
 from foretouch.cloud.messages import decode_cloud
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, Topic
 from foretouch.dataset.bag_writer import BagWriter, write_bag
+from foretouch.dataset.identity import Identity
+from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.replay import playable
 from foretouch.types import CameraModel, Cloud, assumed_table, stamp_ns
@@ -148,6 +150,13 @@ def test_other_topics_are_played_too_and_the_unknown_are_named(graph, tmp_path, 
     notes = node.reported().values
     assert notes["left_out./secret"] == "type nobodys_msgs/msg/Secret is not installed (3 messages)"
     assert notes["left_out./foretouch/remark"] == "this graph publishes under /foretouch itself (3 messages)"
+
+
+def test_a_looped_replay_of_an_empty_dataset_ends(graph, tmp_path):
+    identity = Identity(hand={"name": "mine"}, camera={"name": "none"})
+    RecordingWriter(tmp_path / "empty", identity, RecordingConfig()).close()
+    node = start(graph, tmp_path / "empty", loop=True, subscribers=0)
+    assert node.ended.wait(20.0)
 
 
 def test_a_looped_replay_has_increasing_stamps_and_activating_again_plays_from_the_beginning(graph, bag):

@@ -2,7 +2,6 @@
 """Requests and goals to one running touch predictor: what is answered, and what is refused with which reason."""
 
 import math
-from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,7 @@ from foretouch.grasp import GeoGraspConfig
 from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.ros.steps.grasping import plan_targets
+from foretouch.stream import named
 from foretouch.types import Cloud, Grasps
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, Status
@@ -74,7 +73,7 @@ def test_a_request_or_grasp_that_cannot_be_answered_is_refused_with_the_reason_a
         without_orientation(r.grasps[0]).g1.x = 1e160
 
     cases = [
-        ("grasps: is empty", Status.NO_GRASP, lambda r: setattr(r, "grasps", [])),
+        ("grasps: is empty: send grasps, or contacts", Status.BAD_REQUEST, lambda r: setattr(r, "grasps", [])),
         ("row_step", Status.BAD_CLOUD, lambda r: setattr(r.cloud, "row_step", 1)),
         ("finite", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.full(4, math.nan))),
         ("holds no plane", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.zeros(4))),
@@ -205,10 +204,10 @@ def test_a_cancel_takes_effect_within_a_hundred_grasps(planner, monkeypatch):
     graph, step, sizes, handles = planner.graph, planner.node._step, [], []
     real = step.answer_plans
 
-    def many(pipeline, targets, header):
-        array, (plan,) = plan_targets(pipeline, targets, header)
-        array.grasps = [deepcopy(grasp) for grasp in array.grasps for _ in range(1000)]
-        return array, [replace(plan, grasps=Grasps.of([grasp for grasp in plan.grasps for _ in range(1000)]))]
+    def many(plan, target, name):
+        return named(
+            replace(plan, grasps=Grasps.of([grasp for grasp in plan.grasps for _ in range(1000)])), target, name
+        )
 
     def slow(targets, plans, grasps):
         sizes.append(len(grasps.grasps))
@@ -217,7 +216,7 @@ def test_a_cancel_takes_effect_within_a_hundred_grasps(planner, monkeypatch):
             graph.until(cancelled.done)
         return real(targets, plans, grasps)
 
-    monkeypatch.setattr("foretouch.ros.steps.sampling.plan_targets", many)
+    monkeypatch.setattr("foretouch.ros.steps.sampling.named", many)
     monkeypatch.setattr(step, "answer_plans", slow)
     sent = graph.action_client(SampleGrasps, "sample_grasps").send_goal_async(planner.goal())
     sent.add_done_callback(lambda future: handles.append(future.result()))

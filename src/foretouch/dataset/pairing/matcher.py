@@ -98,7 +98,7 @@ class GraspTouchMatcher:
         self._assume = assume
         self._successes_only = successes_only
         self.plans: OrderedDict[int, PlannedGrasps] = OrderedDict()  # by the stamp of their cloud [ns], until forgotten
-        self._stamp_of: dict[str, int | None] = {}  # None: the id was planned on two clouds
+        self._stamps: dict[str, list[int]] = {}  # of the clouds on which an id was planned, until these are forgotten
         self.pending: list[tuple[ExecutedGrasp, float]] = []  # executed, not complete yet, and since when [s]
         self._labels: dict[str, Label] = {}  # of grasps that are not complete yet, or have not been executed
         self._finished_ids: OrderedDict[str, None] = OrderedDict()
@@ -112,7 +112,8 @@ class GraspTouchMatcher:
         if not grasps:
             return
         for grasp in grasps:
-            self._stamp_of[grasp.id] = stamp_ns if self._stamp_of.get(grasp.id, stamp_ns) == stamp_ns else None
+            if stamp_ns not in (stamps := self._stamps.setdefault(grasp.id, [])):
+                stamps.append(stamp_ns)
         before, ids = self.plans.get(stamp_ns), {grasp.id for grasp in grasps}
         kept = (
             [planned for planned in before.grasps if planned.id not in ids]
@@ -127,9 +128,15 @@ class GraspTouchMatcher:
         """Remove the grasps of a cloud that is no longer kept; gives them."""
         plan = self.plans.pop(stamp_ns, None)
         for grasp in () if plan is None else plan.grasps:
-            if self._stamp_of.get(grasp.id) == stamp_ns:
-                del self._stamp_of[grasp.id]
+            stamps = [stamp for stamp in self._stamps.pop(grasp.id, []) if stamp != stamp_ns]
+            if stamps:
+                self._stamps[grasp.id] = stamps
         return plan
+
+    def _stamp_of(self, name: str) -> int | None:
+        """Return the stamp of the only cloud on which a grasp was planned; None for none or several."""
+        stamps = self._stamps.get(name, [])
+        return stamps[0] if len(stamps) == 1 else None
 
     def add_executed(self, executed: ExecutedGrasp, now_s: float) -> None:
         """Add a grasp that was executed."""
@@ -158,7 +165,7 @@ class GraspTouchMatcher:
             return name, "its touch is being recorded"
         if label.interval is None and name in self._finished_ids:
             raise PairingError("too_late", f"grasp {name}: is recorded already; `edit_grasp` changes it")
-        if name not in self._stamp_of:
+        if name not in self._stamps:
             raise PairingError("grasp_unknown", f"grasp {name}: was not planned while recording")
         self._labels[name] = label
         if label.interval is None:
@@ -200,9 +207,7 @@ class GraspTouchMatcher:
         self._unclaimed = [pair for pair in self._unclaimed if pair not in late]
         for episode, since_s in late:
             waiting = (label for label in self._labels if not self._is_pending(label))
-            name = next(
-                (label for label in waiting if (self._stamp_of.get(label) or episode.start) < episode.start), None
-            )
+            name = next((label for label in waiting if (self._stamp_of(label) or episode.start) < episode.start), None)
             flags: tuple[str, ...] = ("detected_interval",)
             if name is None and self._assume:
                 before = [plan for stamp, plan in self.plans.items() if stamp < episode.start]
@@ -223,7 +228,7 @@ class GraspTouchMatcher:
         complete_ns = interval.release + round(self.config.guard_s * SECOND_NS)
         if self._buffer.newest_ns is None or self._buffer.newest_ns < complete_ns:
             return False
-        stamp = self._stamp_of.get(executed.grasp_id)
+        stamp = self._stamp_of(executed.grasp_id)
         return stamp is not None and self._clouds.get(stamp) is not None
 
     def _finish(self, executed: ExecutedGrasp) -> MatchedGrasp | RejectedGrasp:
@@ -245,11 +250,11 @@ class GraspTouchMatcher:
         if self._successes_only and executed.success is False:
             raise PairingError("grasp_failed", "the robot reports a failure")
         name = executed.grasp_id
-        if name not in self._stamp_of:
-            raise PairingError("grasp_unknown", f"grasp {name}: was not planned while recording, or long ago")
-        stamp = self._stamp_of[name]
+        if name not in self._stamps:
+            raise PairingError("grasp_unknown", "was not planned on a cloud that is still kept; was its id changed?")
+        stamp = self._stamp_of(name)
         if stamp is None:
-            raise PairingError("grasp_ambiguous", f"grasp {name}: was planned on two clouds")
+            raise PairingError("grasp_ambiguous", f"was planned on {len(self._stamps[name])} clouds")
         plan, cloud = self.plans[stamp], self._clouds.get(stamp)
         if cloud is None:
             raise PairingError("cloud_unknown", "its cloud was not received, or is no longer kept")

@@ -26,15 +26,16 @@ from foretouch.ros.messages.requests import (
     status_code,
 )
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
-from foretouch.ros.runtime.processing_node import Input, ProcessingConfig, ProcessingNode
+from foretouch.ros.runtime.processing_node import Answer, Input, ProcessingConfig, ProcessingNode
 from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.steps.camera_input import CameraInput, CameraInputSettings
 from foretouch.ros.steps.frames import Frames
-from foretouch.ros.steps.grasping import GraspSettings, GraspStep
+from foretouch.ros.steps.grasping import GraspSettings, GraspStep, stream_config
 from foretouch.ros.steps.segmentation import SegmentationSettings, SegmentationStep
 from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.steps.touch_settings import TouchSettings
+from foretouch.stream import Stream
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, stamp_ns
 from foretouch.types.scene import Object
@@ -65,17 +66,17 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
     exclusive_topics = ("objects", GRASPS_TOPIC, "touch")
 
     def _setup(self) -> None:
-        self._frames = Frames(self)
-        self._planner, self._touch = GraspStep(self), TouchStep(self, self._frames)
+        self._frames, stream = Frames(self), Stream(stream_config(self.config))
+        self._planner, self._touch = GraspStep(self, stream), TouchStep(self, self._frames)
         self.steps = (self._planner, self._touch, TouchServices(self, self._touch))
         if self.config.input == "objects":  # subscriptions come last, so that no answer is lost
             super()._setup()
         else:
-            self._segmentation = SegmentationStep(self)
+            self._segmentation = SegmentationStep(self, stream)
             self._camera = CameraInput(self, self._receive)
             self.steps = (self._segmentation, *self.steps, self._camera)
 
-    def _answer(self, item: Input) -> tuple[int, str]:
+    def _answer(self, item: Input) -> Answer:
         header = item.header
         if self.config.input == "objects":
             objects, table = item.content[CLOUD_TOPIC], item.content["table"]
@@ -88,29 +89,28 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
         scene = self._segmentation.segment(cloud)
         message = partial(objects_to_msg, scene.targets, header.frame_id, stamp_ns(header.stamp))
         targets = Targets(header, scene.targets, message, placement=placement)
-        outcome = self._answer_targets(targets, status_code(scene.status), scene.reason)
-        self._segmentation.publish(header, scene, placement)
-        return outcome
+        answer = self._answer_targets(targets, status_code(scene.status), scene.reason)
+        objects_first = (self._segmentation, partial(self._segmentation.publish, header, scene, placement))
+        return answer._replace(publish=[objects_first, *answer.publish])
 
-    def _answer_targets(self, targets: Targets, status: int, reason: str) -> tuple[int, str]:
+    def _answer_targets(self, targets: Targets, status: int, reason: str) -> Answer:
         """Plan and predict on targets; without any, status and reason say why."""
-        header = targets.header
+        header, planner, touch = targets.header, self._planner, self._touch
         if not targets.objects:
-            self._touch.latest = targets._replace(refusal=RefusalError(status, reason))
-            for step in (self._touch, self._planner):
-                step.refuse(header, status, reason)
-            return status, reason
-        self._touch.latest = targets
-        grasps, plans = self._planner.plan(targets.objects, header, reason)
+            touch.latest = targets._replace(refusal=RefusalError(status, reason))
+            refused = [(step, partial(step.refuse, header, status, reason)) for step in (planner, touch)]
+            return Answer(status, reason, refused)
+        touch.latest = targets
+        grasps, plans = planner.plan(targets.objects, header, reason)
         if grasps.grasps:
-            answer = self._touch.answer_plans(targets.objects, plans, grasps)
-            self._touch.publish(answer, grasps, targets)
+            answer = touch.answer_plans(targets.objects, plans, grasps)
             status, reason = answer.summary
+            publish_touch = partial(touch.publish, answer, grasps, targets)
         else:
             status, reason = grasps.status, grasps.reason
-            self._touch.refuse(header, status, reason)
-        self._planner.publish(grasps, targets.answered_in)
-        return status, reason
+            publish_touch = partial(touch.refuse, header, status, reason)
+        publish_grasps = partial(planner.publish, grasps, targets.answered_in)
+        return Answer(status, reason, [(planner, publish_grasps), (touch, publish_touch)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,17 +125,17 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     exclusive_topics = ("objects",)
 
     def _setup(self) -> None:
-        self._frames = Frames(self)
-        self._step = SegmentationStep(self)  # before subscribing, so that no answer is lost
+        self._frames, stream = Frames(self), Stream(stream_config(self.config))
+        self._step = SegmentationStep(self, stream)  # before subscribing, so that no answer is lost
         self._camera = CameraInput(self, self._receive)
         self.steps = (self._step, self._camera)
 
-    def _answer(self, item: Input) -> tuple[int, str]:
+    def _answer(self, item: Input) -> Answer:
         cloud = self._camera.cloud(item.content)
         placement = self._frames.placement(item.header)
         scene = self._step.segment(cloud)
-        self._step.publish(item.header, scene, placement)
-        return status_code(scene.status), scene.reason
+        publish = [(self._step, partial(self._step.publish, item.header, scene, placement))]
+        return Answer(status_code(scene.status), scene.reason, publish)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,18 +151,17 @@ class GraspNode(MatchingNode[GraspNodeConfig]):
     exclusive_topics = (GRASPS_TOPIC,)
 
     def _setup(self) -> None:
-        self._frames = Frames(self)
-        self._step = GraspStep(self)  # before subscribing, so that no answer is lost
+        self._frames, stream = Frames(self), Stream(stream_config(self.config))
+        self._step = GraspStep(self, stream)  # before subscribing, so that no answer is lost
         self.steps = (self._step,)
         super()._setup()
 
-    def _answer(self, item: Input) -> tuple[int, str]:
+    def _answer(self, item: Input) -> Answer:
         table = item.content["table"]
         targets = read_objects(item.content[CLOUD_TOPIC], table, self.config.limits)
         placement = self._frames.placement(item.header)
         message, _ = self._step.plan(targets, item.header, table.reason)
-        self._step.publish(message, placement)
-        return message.status, message.reason
+        return Answer(message.status, message.reason, [(self._step, partial(self._step.publish, message, placement))])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +184,7 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
         self.subscribe(InputTopic("table", TablePlane), self._remember_table)
         super()._setup()
 
-    def _answer(self, item: Input) -> tuple[int, str]:
+    def _answer(self, item: Input) -> Answer:
         grasps, targets = item.content[GRASPS_TOPIC], self._read(item.content[CLOUD_TOPIC])
         if not grasps.grasps:
             raise passed_on(GRASPS_TOPIC, grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
@@ -193,8 +192,7 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
         if targets.refusal is not None:
             raise targets.refusal
         answer = self._step.answer(targets, RequestedGrasps.of_messages(grasps.grasps))
-        self._step.publish(answer, grasps, targets)
-        return answer.summary
+        return Answer(*answer.summary, [(self._step, partial(self._step.publish, answer, grasps, targets))])
 
     def _remember_table(self, message: TablePlane) -> None:
         self._tables[stamp_ns(message.header.stamp)] = message

@@ -302,17 +302,19 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         assert self._source is not None  # noqa: S101  setup made it
         shift_ns, began = 0, time.monotonic()
         while True:
-            pace = Pace(self.config.rate_hz, self.config.longest_pause_s)
+            pace, empty = Pace(self.config.rate_hz, self.config.longest_pause_s), True
             for entry in entries(self._source, self._topic_publishers.keys() - {CLOUDS}):
-                due = began + pace.due_s(entry)
+                due, empty = began + pace.due_s(entry), False
                 if pace.cut_s:
                     self.get_logger().warning(f"{entry.name}: {pace.cut_s:.0f} s of the pause before it are left out")
                 if not self._play_entry(entry, due, shift_ns):
                     return
-            if not self.config.loop:
+            if not self.config.loop or empty:
                 break
             shift_ns += pace.length_ns
             began += pace.length_s
+            if self.stopping.wait(max(began - time.monotonic(), 0.0)):
+                return
         for publisher in self._topic_publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=2.0))
 

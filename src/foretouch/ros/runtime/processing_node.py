@@ -8,6 +8,7 @@ diagnostics respond meanwhile, and the next input is received. An input that a n
 import time
 from abc import abstractmethod
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -59,6 +60,14 @@ class Step:
         """Add to a report of the node."""
 
 
+class Answer(NamedTuple):
+    """What a node answers to an input, complete before any of it is published."""
+
+    status: int  # of `foretouch_msgs/Status`
+    reason: str
+    publish: Sequence[tuple[Step, Callable[[], object]]]  # what each step publishes, in this order
+
+
 class ProcessingNode(ForetouchNode[_P]):
     """Answers one input after the other, the newest next.
 
@@ -81,10 +90,10 @@ class ProcessingNode(ForetouchNode[_P]):
         self._silent_until = 0.0  # `time.monotonic` before which no refusal is logged [s]
 
     @abstractmethod
-    def _answer(self, item: Input) -> tuple[int, str]:
-        """Convert messages to arrays, compute, convert the result to messages and publish them.
+    def _answer(self, item: Input) -> Answer:
+        """Convert messages to arrays, compute, and convert the result to messages, which are published then.
 
-        Returns the published status and its reason, or raises a `RefusalError`, which all steps then publish.
+        Raises a `RefusalError` where there is no result, which all steps then publish.
         """
 
     def _refuse(self, header: Header, status: int, reason: str) -> None:
@@ -126,13 +135,21 @@ class ProcessingNode(ForetouchNode[_P]):
     def _work(self, item: Input) -> None:
         age_s = self.age_s(stamp_ns(item.header.stamp))
         try:
-            status, reason = self._answer(item)
+            answer = self._answer(item)
+            status, reason = answer.status, answer.reason
         except RefusalError as refusal:
             status, reason = refusal.status, refusal.reason
             self._refuse(item.header, status, reason)
         except Exception as err:  # noqa: BLE001  a bug must not end the node, and must be reported
             status, reason = Status.FAILED, self.internal_errors.report(self.get_name(), err)
             self._refuse(item.header, status, reason)
+        else:
+            for step, publish in answer.publish:
+                try:
+                    publish()
+                except Exception as err:  # noqa: BLE001  what the other steps have published stays their answer
+                    status, reason = Status.FAILED, self.internal_errors.report(self.get_name(), err)
+                    self.internal_errors.guarded(self.get_name(), step.refuse)(item.header, status, reason)
         self.statistics.use(item.arrived, age_s)
         self._note(status, reason)
 

@@ -22,9 +22,10 @@ from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups, predic
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.placement import Placement, tool_pose
 from foretouch.ros.messages.requests import RefusalError, requested_targets
-from foretouch.ros.steps.grasping import plan_targets
+from foretouch.ros.steps.grasping import grasps_to_msg
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.steps.touch_settings import COSTS, HARDER_FINGER, SCORE, TouchSettings
+from foretouch.stream import named
 from foretouch.types import Float64
 from foretouch.types.scene import Object
 from foretouch_msgs.action import SampleGrasps
@@ -84,10 +85,9 @@ def sample_grasps(
     for target in targets.objects:
         if handle.is_cancel_requested:
             break
-        message, (plan,) = plan_targets(pipeline, [target], targets.header)
-        for grasp in message.grasps:
-            grasp.id += f"/{name}"
-        for first in range(0, len(message.grasps), _BATCH):
+        plan = named(pipeline.plan(target), target, name)
+        message = grasps_to_msg([target], [plan], targets.header)
+        for first in range(0, len(plan.grasps), _BATCH):
             if handle.is_cancel_requested:
                 break
             part = slice(first, first + _BATCH)

@@ -12,13 +12,12 @@ from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from foretouch.cloud.segmentation.identity import ObjectIdentity
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.config import setting
 from foretouch.errors import CloudError
-from foretouch.grasp import HandConfig
-from foretouch.pipeline import Pipeline, PipelineConfig
+from foretouch.grasp import GeoGraspConfig, HandConfig
 from foretouch.ros.messages.clouds import (
     detections_to_msg,
     labels_to_msg,
@@ -35,9 +34,11 @@ from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
 from foretouch.ros.steps.frames import FrameSettings
+from foretouch.ros.steps.grasping import stream_config
 from foretouch.ros.steps.selection import Selection, SelectionSettings
+from foretouch.stream import Stream
 from foretouch.topics import CLOUD_TOPIC
-from foretouch.types import Cloud, Float64, stamp_ns
+from foretouch.types import Cloud, stamp_ns
 from foretouch.types.scene import Object, Scene
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 
@@ -58,18 +59,21 @@ class SegmentationSettings(SelectionSettings, FrameSettings):
 
     segmentation: SegmentationConfig = SegmentationConfig()
     target: TargetConfig = TargetConfig()
-    hand: HandConfig = HandConfig()  # with which `target.mode` free plans grasps
+    limits: ObjectLimits = ObjectLimits()  # with which `target.mode` free plans grasps
+    grasp: GeoGraspConfig = GeoGraspConfig()  # the same
+    hand: HandConfig = HandConfig()  # the same
 
 
 class SegmentationStep(Step):
-    """Finds the table and the objects (`Pipeline.segment`) in the clouds of one stream, and publishes them.
+    """Finds the table and the objects (`Stream.find`), and publishes them.
 
     Args:
         node: Publishes; it must be configuring, and its settings are `SegmentationSettings`.
+        stream: Of the clouds.
     """
 
-    def __init__(self, node: ForetouchNode[Any]) -> None:
-        self._node = node
+    def __init__(self, node: ForetouchNode[Any], stream: Stream) -> None:
+        self._node, self._stream = node, stream
         self._objects = node.advertise(ObjectArray, "objects")
         self._table = node.advertise(TablePlane, "table")
         self._object_cloud = node.advertise(PointCloud2, CLOUD_TOPIC)
@@ -80,18 +84,12 @@ class SegmentationStep(Step):
         self._detections = None
         if config.publish_detections:
             self._detections = node.advertise(message_class("vision_msgs/Detection3DArray"), "detections")
-        self._selection = Selection(node)
-        self.configure(node.config)
-        self._pipeline.segment(warm_up_cloud())
+        self._selection = Selection(node, stream)
+        stream.pipeline.segment(warm_up_cloud())
 
     def configure(self, config: SegmentationSettings) -> None:
-        """Use other settings, and forget the stream so far."""
-        self._pipeline = Pipeline(
-            PipelineConfig(segmentation=config.segmentation, target=config.target, hand=config.hand)
-        )
-        self._identity = ObjectIdentity()
-        self._selection.forget()
-        self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
+        """Use other settings."""
+        self._stream.configure(stream_config(config))
 
     def segment(self, cloud: Cloud) -> Scene:
         """Find the table and the objects; of equal ones, the target of the cloud before stays the target.
@@ -101,12 +99,11 @@ class SegmentationStep(Step):
         """
         mask = self._selection.mask(cloud)
         try:
-            scene = self._pipeline.segment(cloud, self._previous, self._identity, mask=mask)
+            scene = self._stream.find(cloud, mask=mask)
         except CloudError as err:
             raise RefusalError(Status.BAD_REQUEST, str(err)) from err
-        scene = self._selection.choose(scene)
-        self._previous = scene.targets[0].centroid if len(scene.targets) == 1 else None
-        return scene
+        self._selection.take_click(scene)
+        return self._stream.with_target(scene)
 
     def publish(self, header: Header, scene: Scene, placement: Placement) -> None:
         """Publish a scene for those who subscribe.

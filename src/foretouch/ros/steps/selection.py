@@ -7,7 +7,7 @@ stays the target by its id until it is gone or another one is clicked. Callbacks
 
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 from geometry_msgs.msg import PointStamped
@@ -20,17 +20,14 @@ from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.subscription import InputTopic
+from foretouch.stream import Stream
 from foretouch.types import AnyArray, Cloud, stamp_ns
 from foretouch.types.scene import Scene
 from foretouch_msgs.msg import Status
 
 _MASK_TOPIC: Final = "mask"
 _CLICK_TOPIC: Final = "clicked_point"
-SELECTED: Final = "selected"
-"""Flag of predictions on an object that was clicked, and start of the reason."""
-
 _MASKS: Final = 16  # that wait for the image of their stamp
-_GONE: Final = 30  # clouds in a row without the selected object, after which it is forgotten: 1 s at 30 Hz
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,28 +50,23 @@ class Selection:
 
     Args:
         node: Subscribes; it must be configuring, and its settings are `SelectionSettings`.
+        stream: Of the clouds, in which a click selects.
     """
 
-    def __init__(self, node: ForetouchNode[Any]) -> None:
-        self._node = node
+    def __init__(self, node: ForetouchNode[Any], stream: Stream) -> None:
+        self._node, self._stream = node, stream
         self._changed = threading.Condition()  # guards what callbacks store
         self._masks: dict[int, Image] = {}  # by stamp
         self._click: PointStamped | None = None  # that no cloud has seen yet
-        self._id = ""  # of the selected object
-        self._missing = 0  # clouds in a row without it
-        self._note = ""  # on the last click
+        self._refused = ""  # why the last click selected nothing
         if node.config.mask != "none":
             node.subscribe(InputTopic(_MASK_TOPIC, Image, latched=None), self._receive_mask)
         node.subscribe(InputTopic(_CLICK_TOPIC, PointStamped), self._receive_click)
 
     def diagnose(self, report: Report) -> None:
         """Report what the last click selected, or why it was refused."""
-        if self._note:
-            report.values[_CLICK_TOPIC] = self._note
-
-    def forget(self) -> None:
-        """Select nothing."""
-        self._id, self._missing = "", 0
+        if note := self._refused or self._stream.note:
+            report.values[_CLICK_TOPIC] = note
 
     def mask(self, cloud: Cloud) -> AnyArray | None:
         """Find the labels for a cloud; None where objects are found without.
@@ -108,27 +100,12 @@ class Selection:
         except CloudError as err:
             raise RefusalError(Status.BAD_REQUEST, str(err)) from err
 
-    def choose(self, scene: Scene) -> Scene:
-        """Make the selected object the only target of a scene, as long as there is one."""
+    def take_click(self, scene: Scene) -> None:
+        """Select the object that was clicked since the scene before, if there is one."""
         with self._changed:
             click, self._click = self._click, None
         if click is not None:
             self._take(click, scene)
-        if not self._id:
-            return scene
-        chosen = next((object_ for object_ in scene.objects if object_.id == self._id), None)
-        if chosen is not None:
-            self._missing = 0
-            flagged = replace(chosen, flags=(SELECTED,))
-            return replace(scene, status="ok", reason=f"{SELECTED}: object {chosen.id} was clicked", targets=(flagged,))
-        self._missing += 1
-        if self._missing > _GONE:
-            self._note = f"object {self._id} is gone; the rule of `target` selects again"
-            self.forget()
-            return scene
-        if scene.status not in ("ok", "no_target"):  # what is wrong with the cloud comes first
-            return scene
-        return replace(scene, status="no_target", reason=f"{SELECTED}: object {self._id} is not seen", targets=())
 
     def _take(self, click: PointStamped, scene: Scene) -> None:
         """Select the object at a clicked point, or report why none is selected."""
@@ -145,12 +122,11 @@ class Selection:
             tolerance_m = self._node.config.target.tolerance_m
             chosen = scene.near(point, tolerance_m)
         except CloudError as err:
-            self._note = f"refused: {err}"
+            self._refused = f"refused: {err}"
             self._node.get_logger().warning(f"{_CLICK_TOPIC}: {err}")
             return
-        self._id = chosen.id
-        self._missing = 0
-        self._note = f"object {chosen.id}"
+        self._refused = ""
+        self._stream.select(chosen.id)
         self._node.get_logger().info(f"{_CLICK_TOPIC}: object {chosen.id} is the target")
 
     def _receive_mask(self, message: Image) -> None:

@@ -137,7 +137,7 @@ class TouchServices(Step):
             raise RefusalError(Status.BAD_REQUEST, f"grasps: id {quoted(twice[0])} occurs twice")
         targets = requested_targets(request, step.latest, config.limits, step.frames.placement)
         if not count:
-            raise RefusalError(Status.NO_GRASP, "grasps: is empty")
+            raise RefusalError(Status.BAD_REQUEST, "grasps: is empty: send grasps, or contacts")
         posing = config.grasp if targets.refusal is None else None
         answer = step.answer(targets, requested.moved(targets.answered_in.back), posing)
         step.add_requested(targets, answer.answered)  # not before: it may have been executed already

@@ -32,8 +32,8 @@ from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.steps.frames import Frames
 from foretouch.ros.steps.online_adapter import OnlineAdapter
 from foretouch.ros.steps.predictor import Predictor
-from foretouch.ros.steps.selection import SELECTED
 from foretouch.ros.steps.touch_settings import TouchSettings
+from foretouch.stream import SELECTED
 from foretouch.tactile.description import require_same
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.taxel_view import TaxelView
@@ -118,10 +118,11 @@ class TouchStep(Step):
         own = {flag for flags in answer.predictions.flags for flag in flags}  # of an object that was segmented here
         answer.flags += tuple(flag for flag in stated if flag not in own)
         self._touch.publish(answer.placed(targets.answered_in).message)
+        guarded = self._node.internal_errors.guarded  # the answer is out: an error must not refuse the cloud
         if self.adapter is not None:
-            self.adapter.add_grasps(targets, grasps.grasps)
-        if self._markers.get_subscription_count():  # the answer is out: an error must not refuse the cloud
-            self._node.internal_errors.guarded("markers", self._draw)(answer)
+            guarded("adaptation", self.adapter.add_grasps)(targets, grasps.grasps)
+        if self._markers.get_subscription_count():
+            guarded("markers", self._draw)(answer)
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish that nothing was predicted, and why."""

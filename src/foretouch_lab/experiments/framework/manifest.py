@@ -118,6 +118,19 @@ def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
     return rows_of
 
 
+def cell_seconds(out: Path) -> dict[str, float]:
+    """Return the processor time of each finished cell of a folder by its key [s]; a `FileError` if a file is damaged."""
+    files = sorted((out / _CELLS).glob("*.json"))
+    records = [require_schema(file, read_json(file), {"key": str, "seconds": float}) for file in files]
+    return {record["key"]: record["seconds"] for record in records}
+
+
+def read_settings(out: Path) -> dict[str, Any]:
+    """Return the settings of the sweep in a folder; a `FileError` if its manifest is damaged."""
+    file = out / MANIFEST_FILE
+    return dict(require_schema(file, read_json(file), {"settings": dict})["settings"])
+
+
 def write_results(out: Path, rows: Sequence[Row], name: str = RESULTS_FILE) -> list[Row]:
     """Write a table: None is an empty field, and fractions have five significant digits.
 

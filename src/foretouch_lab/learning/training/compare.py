@@ -2,28 +2,43 @@
 """Scores of models and every baseline on the same held-out samples, by split.
 
 The intervals of each fold are calibrated on the held-out predictions of the other folds, in the same way for models and
-baselines.
+baselines. So is the adaptation to touches of the split `touches`: it takes the predictions of objects left out, and scores the
+first three grasps on each object in order of time, each adapted to the readings of those before.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
+from foretouch.models.calibration import Calibration
+from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import Ranges
-from foretouch.types import Bool, Float64, Sample
+from foretouch.types import Bool, Float64, Index, Sample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import make_folds
 from foretouch_lab.learning.data.folds import Fold, HoldOut, predict_folds
 from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, predict_part, training_mean
 from foretouch_lab.learning.evaluation.evaluate import MODEL
 from foretouch_lab.learning.evaluation.metrics import ObjectErrors, mean_skill, score
-from foretouch_lab.learning.training.calibration import COVERAGE, HeldOutPredictions, calibration_folds, half_widths
+from foretouch_lab.learning.prequential import TimedReadings, replay
+from foretouch_lab.learning.training.calibration import (
+    COVERAGE,
+    HeldOutPredictions,
+    calibration_folds,
+    fit_group,
+    half_widths,
+)
 from foretouch_lab.learning.training.learners import Learner
 
 Report = Callable[[Mapping[str, Any]], None]
+
+FIRST_TOUCHES: Final = "touches"
+"""The split of the first grasps on objects left out, in order of time, each adapted to the readings of those before."""
+
+_FIRST: Final = 3  # grasps on an object
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +118,7 @@ class HeldOutSamples:
 
     def folds(self, split: str) -> list[Fold]:
         """Return the folds of a split; of time and of objects those of a calibration."""
-        condition = {"time": "known", "object": "new"}.get(split)
+        condition = {"time": "known", "object": "new", FIRST_TOUCHES: "new"}.get(split)
         if condition is None:
             return make_folds(self.samples, split, self.seed)
         return calibration_folds(self.samples, self.seed)[condition][0]
@@ -123,7 +138,7 @@ def score_splits(
     Args:
         predictors: By name, what predicts the test side of a fold.
         asked: The samples.
-        splits: Names from `SPLITS`.
+        splits: Names from `SPLITS`, and `FIRST_TOUCHES`.
         baselines: By name.
         report: Called with each record of `Evaluation.records` as soon as it is known.
         workers: Number of processes.
@@ -131,20 +146,29 @@ def score_splits(
     beside = {name: partial(predict_part, one, asked.samples, asked.seed) for name, one in baselines.items()}
     every: dict[str, HoldOut] = {**predictors, **beside}
     result = Evaluation(asked.name, asked.ranges.channels)
-    kept = np.full(len(asked.samples), True) if asked.kept is None else asked.kept
+    every_one = np.full(len(asked.samples), True) if asked.kept is None else asked.kept
     names = np.array([sample.object for sample in asked.samples])
-    labels = asked.labels[kept]
+    by_folds: dict[str, dict[str, Float64]] = {}  # objects left out are predicted once
     for split in splits:
-        folds = asked.folds(split)
-        predicted = predict_folds({name: (predict, folds) for name, predict in every.items()}, workers)
+        folds, made_of = asked.folds(split), {FIRST_TOUCHES: "object"}.get(split, split)
+        if made_of not in by_folds:
+            by_folds[made_of] = predict_folds({name: (predict, folds) for name, predict in every.items()}, workers)
+        kept = every_one
+        if split == FIRST_TOUCHES:
+            kept = kept & np.isin(np.arange(len(names)), np.concatenate(list(_first_grasps(asked).values())))
+        labels = asked.labels[kept]
         mean = partial(predict_part, training_mean, asked.samples, asked.seed)
         reference = predict_folds({"": (mean, folds)})[""][kept]
         result.scores[split], result.errors[split], result.samples[split] = {}, {}, int(kept.sum())
-        for name, counts in predicted.items():
+        for name, vision in by_folds[made_of].items():
+            held_out = HeldOutPredictions(vision, asked.labels, names, names, result.channels)
+            if split == FIRST_TOUCHES:
+                counts, half = _after_touches(held_out, asked, folds)
+            else:
+                counts, half = vision, _held_out_half_widths(held_out, folds)
             scores: dict[str, dict[str, float]] = score(
                 counts[kept], labels, reference, asked.ranges, valid=asked.valid
             )
-            half = _held_out_half_widths(HeldOutPredictions(counts, asked.labels, names, names, result.channels), folds)
             for modality, row in _interval_scores(labels - counts[kept], half[kept], asked).items():
                 scores[modality] |= row
             result.scores[split][name] = scores
@@ -162,6 +186,36 @@ def _held_out_half_widths(held_out: HeldOutPredictions, folds: Sequence[Fold]) -
         others[fold.test] = False
         half[fold.test] = half_widths(held_out.take(others))
     return half
+
+
+def _first_grasps(asked: HeldOutSamples) -> dict[str, Index]:
+    """Return the first samples of each object, in order of time."""
+    stamps = np.array([sample.stamp_ns for sample in asked.samples])
+    names = np.array([sample.object for sample in asked.samples])
+    own = {str(name): np.flatnonzero(names == name) for name in np.unique(names)}
+    return {name: rows[np.argsort(stamps[rows], kind="stable")][:_FIRST] for name, rows in own.items()}
+
+
+def _after_touches(
+    held_out: HeldOutPredictions, asked: HeldOutSamples, folds: Sequence[Fold]
+) -> tuple[Float64, Float64]:
+    """Return (S, D) predictions of the first grasps on each object after the touches before, and half widths; NaN of others.
+
+    The tracker knows the readings of this object alone, and its parameters are fitted to the objects of the other folds.
+    """
+    counts, half = np.full((2, *held_out.predicted.shape), np.nan)
+    first, channels, rest = _first_grasps(asked), held_out.channels, np.zeros(held_out.channels.size)
+    for fold in folds:
+        tested = np.isin(np.arange(len(asked.samples)), fold.test)
+        group = fit_group(held_out.take(~tested), new=True)
+        calibration = Calibration(channels, rest, {"known": group, "new": group})
+        for own in (first[name] for name in np.unique(held_out.objects[tested]).tolist()):
+            touched = [asked.samples[k] for k in own.tolist()]
+            readings = TimedReadings.of_samples(touched, held_out.labels[own], held_out.predicted[own], rest)
+            alone = replace(readings.ordered(), tares=None, tdc=None, tare_tdc=None)
+            played = replay(SensorTracker(calibration.tracker_parameters), alone)
+            counts[own], half[own] = played.counts, played.half
+    return counts, half
 
 
 def _interval_scores(residuals: Float64, half: Float64, asked: HeldOutSamples) -> dict[str, dict[str, float]]:

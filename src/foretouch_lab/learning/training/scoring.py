@@ -42,11 +42,25 @@ def evaluate(
     baselines: Mapping[str, Baseline] = BASELINES,
 ) -> Evaluation:
     """Score models and baselines on the same held-out samples; see `foretouch.evaluate`."""
-    data = dataset_from(samples)
+    named = models if isinstance(models, Mapping) else {MODEL: models}
+    options: dict[str, Any] = {"refit": refit, "seed": seed, "workers": workers, "baselines": baselines}
+    return score_models(dataset_from(samples), named, splits, **options)
+
+
+def score_models(
+    data: Dataset,
+    models: Mapping[str, Any],
+    splits: Sequence[str],
+    *,
+    refit: bool | None = None,
+    seed: int = 0,
+    workers: int = 1,
+    baselines: Mapping[str, Baseline] = BASELINES,
+) -> Evaluation:
+    """Score models by name, and baselines, on the labelled samples of a dataset; see `foretouch.evaluate`."""
     index = data.partition(None).train
     labelled = [data.filled[k] for k in index]
-    named = models if isinstance(models, Mapping) else {MODEL: models}
-    held_out = {name: _held_out(model, data, labelled, refit) for name, model in named.items()}
+    held_out = {name: _held_out(model, data, labelled, refit) for name, model in models.items()}
     kept, notes = np.full(len(index), True), []
     for name, (_, card, note) in held_out.items():
         trained = ""

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch benchmark touch`: a row is one command, and finished rows stay."""
+
+from pathlib import Path
+
+import pytest
+from experiment_samples import make_samples
+
+import foretouch as ft
+from foretouch_lab.experiments.framework.manifest import read_results
+
+
+@pytest.fixture
+def words(tmp_path: Path) -> list[object]:
+    """The command on eight made-up objects, with two baselines and one split."""
+    ft.write(tmp_path / "session", make_samples(8, 6))
+    settings = ["baselines=[training_mean,clock]", "splits=[object]", "bootstrap.draws=200"]
+    places = ["--data", tmp_path / "session", "-o", tmp_path / "out", "--workers", "1"]
+    return ["benchmark", "touch", *settings, *places]
+
+
+@pytest.mark.slow
+def test_a_command_adds_the_row_of_an_own_predictor_and_keeps_the_others(call, words, tmp_path) -> None:
+    first = call(*words, "--model", "own_predictors:Memory")
+    assert first.status == 0, first.err
+    assert "3 cells (0 reused)" in first.out
+    again = call(*words, "--model", "own_predictors:Constant", "--resume")
+    assert again.status == 0, again.err
+    assert "4 cells (3 reused)" in again.out
+    rows = read_results(tmp_path / "out" / "results.csv")
+    names = ["training_mean", "clock", "own_predictors:Memory", "own_predictors:Constant"]
+    assert list(dict.fromkeys(row["predictor"] for row in rows)) == names
+    assert {(row["seeds"], row["samples"], row["objects"]) for row in rows} == {(0, 48, 8)}
+    assert all(row["cpu_s"] > 0.0 and len(str(row["data"])) == 16 for row in rows)
+    page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
+    assert "foretouch benchmark touch" in page
+    assert "own_predictors:Constant, given as it is" in page
+    assert (tmp_path / "out" / "leaderboard.png").stat().st_size > 10_000
+
+
+def test_mistakes_are_one_line(call, words) -> None:
+    call("benchmark", "tuoch", *words[2:]).check_refused("'tuoch' is not one of touch; did you mean touch?")
+    call(*words, "--model", "clock").check_refused("models: clock is a baseline, which is scored anyway")
+    answer = call(*words, "--model", "no_such_module:Mine")
+    assert answer.status == 1
+    assert "no_such_module" in answer.err
+    assert "Traceback" not in answer.err

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The leaderboard: its rows follow from the held-out predictions, and each row can be added by itself."""
+
+import numpy as np
+import pytest
+from experiment_samples import cell_rows, make_collection
+
+from foretouch.errors import ConfigError
+from foretouch.tactile import MODALITIES
+from foretouch_lab.experiments import find_experiment
+from foretouch_lab.experiments.framework.experiment import Row
+from foretouch_lab.experiments.leaderboard import LeaderboardSettings
+from foretouch_lab.experiments.shared.tables import select
+from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.evaluation.metrics import MEAN
+
+QUICK = {"baselines": ["training_mean", "object_mean", "clock"], "bootstrap.draws": 200}
+MINE = "own_predictors:Memory"
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    return make_collection()
+
+
+@pytest.fixture(scope="module")
+def table(data: Dataset) -> list[Row]:
+    splits = ["random", "object", "touches"]
+    rows, settings = cell_rows("leaderboard", data, **QUICK, models=[MINE], splits=splits)
+    return find_experiment("leaderboard").tabulate(settings, rows)
+
+
+def test_an_own_predictor_is_refitted_in_each_fold_and_stands_beside_every_baseline(
+    table: list[Row], data: Dataset
+) -> None:
+    assert {row["predictor"] for row in table} == {*QUICK["baselines"], MINE}
+    mine = select(table, predictor=MINE)
+    assert {row["note"] for row in mine} == {f"{MINE}, fitted again without the samples of each fold"}
+    labels = labels_of(data.samples)
+    for split in ("random", "object"):
+        own, mean = (select(table, split=split, predictor=name) for name in (MINE, "training_mean"))
+        for row, other in zip(own, mean, strict=True):  # it predicts the mean of what it was fitted to
+            assert row["skill"] == pytest.approx(0.0, abs=1e-9)
+            assert row["rmse"] == other["rmse"]
+        folds = make_folds(data.samples, split, 0)
+        residuals = np.concatenate([labels[fold.test] - labels[fold.train].mean(axis=0) for fold in folds])
+        errors = {row["modality"]: row["rmse"] for row in own}
+        assert errors["PDC_TH"] == pytest.approx(np.sqrt((residuals[:, 0] ** 2).mean()))
+        assert errors["E_MF"] == pytest.approx(np.sqrt((residuals[:, 26:] ** 2).mean()))
+
+
+def test_a_significant_difference_is_paired_with_the_best_baseline(table: list[Row]) -> None:
+    for split in ("random", "object", "touches"):
+        total = select(table, split=split, modality=MEAN)
+        best = max((row for row in total if row["predictor"] != MINE), key=lambda row: row["skill"])
+        for row in total:
+            assert row["best_baseline"] == best["predictor"]
+            if row["predictor"] == best["predictor"]:
+                assert row["vs_best"] is None
+            else:
+                assert row["vs_best"] == pytest.approx(row["skill"] - best["skill"])
+                inside = row["vs_best_low"] <= 0.0 <= row["vs_best_high"]
+                assert inside == (row["vs_best_verdict"] == "tie")
+    assert select(table, split="random", predictor=MINE, modality=MEAN)[0]["vs_best_verdict"] == "worse"
+
+
+def test_the_first_touches_of_an_object_are_few_and_help(table: list[Row], data: Dataset) -> None:
+    objects = len({sample.object for sample in data.samples})
+    touches = select(table, split="touches", predictor=MINE)
+    assert {(row["samples"], row["objects"]) for row in touches} == {(3 * objects, objects)}
+    by_modality = {row["modality"]: row["skill"] for row in touches}
+    assert by_modality["E_TH"] > 0.05  # whose values differ between objects
+    for row in table:
+        if row["modality"] in MODALITIES:
+            assert 0.5 < row["coverage90"] <= 1.0
+            assert row["interval_score"] > 0.0
+
+
+def test_tables_and_picture_show_all_rows(table: list[Row], tmp_path) -> None:
+    experiment = find_experiment("leaderboard")
+    timed = [{**row, "cpu_s": 2.0} for row in table]
+    tables = experiment.tables(timed)
+    assert [one.title.partition(":")[0] for one in tables] == ["random", "object", "touches"]
+    assert all(len(one.rows) == 4 for one in tables)
+    assert any(note.startswith(f"{MINE}: ") for note in tables[-1].notes)
+    (picture,) = experiment.draw(timed, tmp_path)
+    assert picture.stat().st_size > 10_000
+
+
+def test_what_cannot_be_a_row_is_refused(data: Dataset) -> None:
+    with pytest.raises(ConfigError, match="models: clock is a baseline"):
+        LeaderboardSettings(models=("clock",))
+    with pytest.raises(ConfigError, match="models: contact-v3 is given twice"):
+        LeaderboardSettings(models=("contact-v3", "contact-v3"))
+    with pytest.raises(ConfigError, match=r"models: contact-v4: .*did you mean contact-v3\?, nor one of training_mean"):
+        cell_rows("leaderboard", data, baselines=[], models=["contact-v4"], splits=["random"])
