@@ -2,6 +2,7 @@
 """Metadata and requirements stand in setup.cfg; here is what has to be listed by code."""
 
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -24,7 +25,13 @@ class BuildKernels(build_ext):
 
 
 # colcon asks for the arguments of setup() with --dry-run, and cannot read the object that this becomes.
-REQUIRED_PYTHON = {} if "--dry-run" in sys.argv else {"python_requires": ">=3.11"}
+ASKED_ONLY = "--dry-run" in sys.argv
+REQUIRED_PYTHON = {} if ASKED_ONLY else {"python_requires": ">=3.11"}
+
+if find_spec("cffi") is None and not ASKED_ONLY:  # setuptools would warn, and leave the kernels out
+    raise SystemExit(
+        "foretouch: cffi, which compiles its C kernels, is not installed: pip install cffi (or apt install python3-cffi), then repeat"
+    )
 
 setup(
     **REQUIRED_PYTHON,

@@ -134,3 +134,26 @@ def test_lccp_keeps_a_box_whole_and_parts_a_ball_from_it() -> None:
         assert result.n_found == count
         assert result.f > 0.95
         assert ms > 0.0
+
+
+def test_the_confidence_is_fitted_and_judged_with_each_source_left_out() -> None:
+    """Segments that are whole with the probability that a known rule says, but in a source where none is."""
+    from benchmarks.clutter import confidence
+
+    rng = np.random.default_rng(0)
+
+    def scenes(name: str, source: str, odds: float) -> confidence.Segments:
+        inputs = rng.uniform((3.0, -6.0, 0.0), (9.0, 1.0, 6.0), (400, 3))
+        whole = rng.random(400) < 1.0 / (1.0 + np.exp(-(1.2 * inputs[:, 0] - 0.5 * inputs[:, 1] - 7.0 + odds)))
+        return confidence.Segments(name, source, [], inputs, np.ones(400, np.bool_), whole)
+
+    alike = [scenes("images", source, 0.0) for source in ("one", "another")] + [scenes("OSD", "OSD", 0.0)]
+    np.testing.assert_allclose(confidence.fit(alike), (1.2, -0.5, 0.0, -7.0), atol=0.4)
+    answers = list(confidence.left_out(alike))
+    for row in confidence.rows(answers):
+        assert row["Brier"] < row["Brier of a constant"]
+    for row in confidence.reliability(answers):
+        assert abs(float(row["mean, images"]) - float(row["whole, images"])) < 0.12
+    strange = [*alike, scenes("images", "strange", -100.0)]
+    of_strange = next(sure for one, sure, _ in confidence.left_out(strange) if one.source == "strange")
+    assert of_strange.mean() > 0.3  # it does not know that none is whole there

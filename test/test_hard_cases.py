@@ -2,7 +2,6 @@
 """Each hard case of `test/corpus` is answered right or refused by name: no NaN, no traceback, no warning."""
 
 import re
-import time
 import tracemalloc
 import warnings
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ import pytest
 from corpus import learning, simulation
 from corpus.clouds import MANY, ObjectCase, SceneCase, across, object_cases, scene_cases
 from corpus.outcome import check_outcome
+from counted_work import calls_at_most
 from every_case import every_case
 
 from foretouch.cloud.segmentation.segment import segment
@@ -134,16 +134,15 @@ def test_outcomes(cases) -> None:
     every_case(cases(), check_outcome)
 
 
-def test_a_million_points_take_bounded_time_and_memory_and_an_answer_does_not_depend_on_other_grasps(model) -> None:
+def test_a_million_points_take_bounded_work_and_memory_and_an_answer_does_not_depend_on_other_grasps(model) -> None:
     cloud = OBJECTS["a million points"].cloud
     assert cloud.size == MANY
     tracemalloc.start()
-    start = time.thread_time()
-    grasps = plan_grasps(cloud, ASSUMED_TABLE, GeoGraspConfig()).grasps
-    assert [one.status for one in model.predict(cloud, grasps)] == ["ok"]
-    seconds, peak = time.thread_time() - start, tracemalloc.get_traced_memory()[1]
+    with calls_at_most(100_000):  # not for each point
+        grasps = plan_grasps(cloud, ASSUMED_TABLE, GeoGraspConfig()).grasps
+        assert [one.status for one in model.predict(cloud, grasps)] == ["ok"]
+    peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert seconds < 20.0
     assert peak < 20 * cloud.xyz.nbytes
     cloud, fine, thin = OBJECTS["bar"].cloud, across(), across(0.04)
     alone = {name: model.predict(cloud, [grasp])[0] for name, grasp in (("fine", fine), ("thin", thin))}

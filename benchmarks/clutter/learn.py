@@ -444,11 +444,13 @@ class Recorder:
         """Rate with these trees from now on."""
         parts._trees = lambda: trees  # type: ignore[assignment]  # noqa: SLF001
 
-    def __call__(self, xyz: Float32, window: Clusters, cell: int, settings: Float64) -> tuple[Int32, list[int]]:
+    def __call__(
+        self, xyz: Float32, window: Clusters, cell: int, settings: Float64
+    ) -> tuple[Int32, list[int], Float64]:
         """Split a window, and keep what is rated."""
-        labels, counts = self._split(xyz, window, cell, settings, self._rows)
+        labels, counts, joins = self._split(xyz, window, cell, settings, self._rows)
         self._at = window, cell, min(counts[-1], _ROWS)
-        return labels, counts
+        return labels, counts, joins
 
     def pairs(self, scene: LabelledCloud) -> tuple[Float64, Float64]:
         """Features (n, FEATURES) of what is rated in a scene, and whether both are one object (n,)."""

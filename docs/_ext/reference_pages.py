@@ -300,6 +300,7 @@ _PURPOSES = {  # of topics and services whose types have no comment of their own
     "depth/image": "depth images of the camera; remap it, or give `depth:=TOPIC` to the launch files",
     "depth/camera_info": "the camera of the depth images, beside them",
     "object_cloud": "the points of the target",
+    "grasp_poses": "the poses of the tool, best grasp first",
     "markers": "all results, for RViz",
     "/diagnostics": "rates, latencies and dropped messages of each node",
     "label_grasp": "change the label, the outcome or the note of a grasp, or discard it",

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import TactileError
+from foretouch.files import as_path
 from foretouch.grasp.messages import decode_predictions
 from foretouch.laboratory import needs_laboratory
 from foretouch.models.touch_model import TouchModel
@@ -104,7 +105,7 @@ def open(path: str | Path) -> SampleSet:  # noqa: A001
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
     """
-    return open_samples(Path(path).absolute())
+    return open_samples(as_path(path).absolute())
 
 
 def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "contact-v3", **settings: Any) -> TouchModel:
@@ -188,7 +189,7 @@ def evaluate(
         workers: Number of processes.
 
     Returns:
-        The scores, which print as a table. `records()` has its rows, `scores` all numbers, and `notes` how each model was held out.
+        The scores; `print` shows them as a table. `records()` has its rows, `scores` all numbers, and `notes` how each model was held out.
 
     Raises:
         DatasetError: If there are too few samples, or none is held out.

@@ -259,6 +259,8 @@ def description_file(name: str | Path, known: Mapping[str, Path]) -> Path:
     Raises:
         ConfigError: If it is neither.
     """
+    if not isinstance(name, str | Path):
+        raise ConfigError(f"{shown(name)} is neither a name nor a path")
     path = Path(name)
     if path.suffix.lower() in _YAML_SUFFIXES:
         return path

@@ -8,6 +8,7 @@ the command line can print it unchanged.
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
@@ -179,7 +180,7 @@ class FileError(ForetouchError):
     """
 
     def __init__(self, path: str | Path, rule: str, *, field: str | None = None) -> None:
-        self.path = Path(path)
+        self.path = Path(path) if isinstance(path, str | os.PathLike) else Path(shown(path))
         self.rule = rule
         self.field = field
         parts = [shown(path, _PATH), *([shown(field)] if field else []), shown(rule, _RULE)]

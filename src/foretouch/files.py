@@ -78,7 +78,7 @@ def _named(path: str | Path) -> Iterator[None]:
     try:
         with system_errors(path):
             yield
-    except ValueError as err:
+    except (ValueError, TypeError) as err:
         raise FileError(path, f"is not a valid file name: {err}") from err
 
 
@@ -303,6 +303,12 @@ def lock(folder: Path, path: Path | None = None) -> Iterator[None]:
         os.close(descriptor)
 
 
+def as_path(path: Any) -> Path:
+    """Return a path that a caller gave; a `FileError` if it is none."""
+    with _named(path):
+        return Path(path)
+
+
 def free_name(path: Path, addition: str) -> Path:
     """Return the path with an addition to its name, and a number where there is a file of that name."""
     names = (f"{path.name}.{addition}{'' if number == 1 else f'-{number}'}" for number in count(1))
@@ -321,7 +327,7 @@ def require_existing(path: str | Path) -> Path:
             Path(path).stat()
         except FileNotFoundError as err:
             raise FileError(path, "does not exist") from err
-    return Path(path)
+        return Path(path)
 
 
 def require_writable(path: str | Path, *suffixes: str) -> None:

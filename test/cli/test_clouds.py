@@ -26,12 +26,15 @@ def test_segment_prints_plane_objects_times_and_labels(call, files, tmp_path) ->
     for one in record["objects"]:
         low, high = np.array(one["bounds"])
         assert ((low <= one["centroid"]) & (one["centroid"] <= high)).all()
+        assert 0.5 < one["confidence"] < 1.0
     labels = np.load(tmp_path / "l.npy")
     assert (labels.shape, labels.dtype) == ((240, 424), np.int32)
     # Flying pixels bear the label of their object and are none of its points.
     assert np.count_nonzero(labels) == sum(one["n_points"] for one in record["objects"]) + record["counts"]["flying"]
     assert set(np.unique(labels)) == {0, *(one["id"] for one in record["objects"])}
-    assert "centroid [m]" in call("segment", files / "scene.npz").out
+    text = call("segment", files / "scene.npz").out
+    assert "centroid [m]" in text
+    assert f"{record['objects'][0]['confidence']:.2f}" in text
 
 
 def test_every_input_has_its_line_in_order_and_a_bad_one_ends_nothing(call, files) -> None:

@@ -2,7 +2,6 @@
 """Import, build and export of recorded datasets preserve every number."""
 
 import shutil
-import time
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counted_work import calls_at_most
 from every_case import every_case
 from recording_builders import IDENTITY, QUICK, assert_same_sample, read_folder, record, write_dataset
 
@@ -216,11 +216,10 @@ def test_an_import_of_another_hand_taken_ids_or_damaged_files_leaves_nothing(dat
 
 
 @pytest.mark.real_data
-def test_real_grasps_are_imported_quickly_and_exported_equal(real_data: Path, tmp_path: Path) -> None:
+def test_real_grasps_are_imported_with_little_work_and_exported_equal(real_data: Path, tmp_path: Path) -> None:
     source = real_data / "vision2tactile" / "rugby"
-    began = time.process_time()
-    result = import_samples(source, tmp_path / "ds")
-    assert time.process_time() - began < 3.0
+    with calls_at_most(1_500_000):
+        result = import_samples(source, tmp_path / "ds")
     assert (result.samples, result.labelled) == (50, 50)
     assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]
     exported_result = export_samples(tmp_path / "ds", tmp_path / "out", "vision2tactile")

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from depth_builders import FRAME, STAMP_NS, compressed, header, image, info, png, rvl, write_bag
 from every_case import every_case
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2.enums import CompressionMode
+from rosbags.typesys import Stores, get_typestore
 
+from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.depth_messages import camera_model
+from foretouch.cloud.messages import decode_cloud
 from foretouch.dataset.bag import Recording
+from foretouch.dataset.playlist import entries
 from foretouch.dataset.source import open_source
 from foretouch.errors import FileError
 from foretouch.types import Cloud
@@ -168,3 +173,108 @@ def test_one_damaged_image_costs_itself_alone(tmp_path: Path) -> None:
             except FileError as err:
                 outcomes.append(message.topic in str(err) and "RVL is truncated" in str(err))
     assert outcomes == [True, True, True]
+
+
+def test_the_info_is_found_under_another_name_by_frame_and_size_or_by_its_topic(tmp_path: Path) -> None:
+    aligned, colour = "/camera/aligned_depth_to_color/image_raw", "/camera/color/camera_info"
+    sent = [*frames(topic=aligned), (colour, STAMP_NS, small_info()), ("/other/camera_info", STAMP_NS, info())]
+    path = write_bag(tmp_path / "aligned", sent)
+    expected = Cloud.from_depth(pixels(0), camera_model(small_info())).xyz
+    source = open_source(path)
+    assert (source.topic, source.info_topic, source.converted) == (aligned, "", True)
+    np.testing.assert_allclose(next(iter(source)).cloud.xyz, expected, rtol=2e-7)
+    two = write_bag(tmp_path / "two", [*sent, ("/also/info", STAMP_NS, small_info(1.1))])
+    with pytest.raises(
+        FileError,
+        match=r"/camera/aligned_depth_to_color/camera_info is absent: .* --info-topic .there are: /also/info, /camera/color/camera_info, /other/camera_info.",
+    ):
+        open_source(two)
+    for name, scale in ((colour, 1.0), ("/also/info", 1.1)):
+        cloud = next(iter(open_source(two, camera=DepthCamera(info_topic=name)))).cloud
+        assert cloud.camera == camera_model(small_info(scale))
+    with pytest.raises(FileError, match=r"--info-topic '/also/inf' is not one of .*did you mean /also/info"):
+        open_source(two, camera=DepthCamera(info_topic="/also/inf"))
+
+
+def test_what_is_given_goes_before_what_is_recorded(tmp_path: Path) -> None:
+    bent = small_info(d=np.array([0.1, 0.0, 0.0, 0.0, 0.0]), p=np.array([70.0, 0, 41, 0, 0, 70.0, 23, 0, 0, 0, 1, 0]))
+    path = write_bag(tmp_path / "bag", [*frames(topic="/depth/image"), ("/depth/camera_info", STAMP_NS, bent)])
+    file = tmp_path / "camera.json"
+    file.write_text('{"K": [80, 80, 41.5, 23.5], "width": 84, "height": 48}')
+    rect = Cloud.from_depth(pixels(0), (70.0, 70.0, 41.0, 23.0)).xyz
+    cases = {
+        "intrinsics": (DepthCamera(intrinsics=(90.0, 90.0, 41.5, 23.5)), Cloud.from_depth(pixels(0), (90.0, 90.0, 41.5, 23.5)).xyz),
+        "camera file": (DepthCamera(info=file), Cloud.from_depth(pixels(0), (80.0, 80.0, 41.5, 23.5)).xyz),
+        "rectified": (DepthCamera(rectified=True), rect),
+        "scale": (DepthCamera(scale=0.0005, rectified=True), rect / 2),
+        "camera file and scale": (DepthCamera(info=file, scale=0.0005), Cloud.from_depth(pixels(0), (80.0, 80.0, 41.5, 23.5)).xyz / 2),
+    }  # fmt: skip
+
+    def check(camera: DepthCamera, expected: np.ndarray) -> None:
+        source = open_source(path, camera=camera)
+        assert source.converted
+        np.testing.assert_allclose(next(iter(source)).cloud.xyz, expected, rtol=3e-7)
+        (played, *_) = [entry for entry in entries(source) if not entry.topic]
+        sent = decode_cloud(deserialize(played.data))
+        np.testing.assert_allclose(sent.xyz, expected, rtol=3e-7)
+
+    every_case(cases, check)
+    for given, rule in (
+        (DepthCamera(info=tmp_path / "absent.yaml"), "absent.yaml: does not exist"),
+        (DepthCamera(intrinsics=(900.0, 900.0, 320.0, 240.0)), "of another image size"),
+    ):
+        with pytest.raises(FileError, match=rule):
+            _ = next(iter(open_source(path, camera=given))).cloud
+
+
+def deserialize(data: bytes) -> Any:
+    return get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(data, "sensor_msgs/msg/PointCloud2")
+
+
+def test_a_recording_of_the_realsense_viewer_is_read_in_its_unit(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    sensor = "/device_0/sensor_0"
+    own = small_info(p=np.zeros(12), distortion_model="Brown Conrady", header=header(""))
+
+    def check(unit: float) -> None:
+        path = tmp_path / f"viewer{unit}.bag"
+        depth = image((pixels(0) * (0.001 / unit)).round().astype(np.uint16), "mono16", header=header("0"))
+        write_bag(
+            path,
+            [(f"{sensor}/Depth_0/image/data", STAMP_NS, depth), (f"{sensor}/Depth_0/info/camera_info", STAMP_NS, own)],
+            ros1=True,
+        )
+        with Recording(path) as recording:
+            messages = list(recording.messages())
+        assert len(messages) == 2
+        units = tmp_path / f"units{unit}.bag"
+        with Ros1Writer(units) as writer:
+            for name, kind, content in (
+                (
+                    f"{sensor}/option/Depth Units/value",
+                    "std_msgs/msg/Float32",
+                    store.types["std_msgs/msg/Float32"](data=unit),
+                ),
+                *((m.topic, m.type, _ros1(store, m)) for m in messages),
+            ):
+                writer.write(
+                    writer.add_connection(name, kind, typestore=store), STAMP_NS, store.serialize_ros1(content, kind)
+                )
+        source = open_source(units)
+        assert source.converted
+        cloud = next(iter(source)).cloud
+        np.testing.assert_allclose(cloud.xyz[..., 2], np.where(pixels(0) > 0, pixels(0) * 0.001, np.nan), rtol=1e-5)
+
+    every_case([0.001, 0.0001], check)
+
+
+def _ros1(store: Any, message: Any) -> Any:
+    """The content of a message that was read as one of ROS 2."""
+    raw = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(message.data, message.type)
+    fields = {
+        key.upper() if key in "dkrp" and message.type.endswith("Info") else key: value
+        for key, value in vars(raw).items()
+        if not key.startswith("__")
+    }
+    fields["header"] = store.types["std_msgs/msg/Header"](seq=0, stamp=raw.header.stamp, frame_id=raw.header.frame_id)
+    return store.types[message.type](**fields)

@@ -7,6 +7,7 @@ import hashlib
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from safetensors.numpy import load, save
 
 from foretouch.errors import CloudError, FileError, TactileError
 from foretouch.models.history_keeper import HistoryFile, HistoryKeeper
+from foretouch.models.registry import load_model
 from foretouch.models.touch_model import History, TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Prediction, Sample, Touch
@@ -137,6 +139,41 @@ def test_a_restart_in_the_middle_changes_no_bit(model: TouchModel, tmp_path: Pat
         assert_array_equal(again.to_tensors()[name], value, err_msg=name)
 
 
+@pytest.mark.parametrize("away", [30.0, 100.0, 400.0, 1500.0])
+def test_what_was_saved_is_loaded_for_a_hand_however_far_it_is_from_the_model(tmp_path: Path, away: float) -> None:
+    model = load_model()
+    rng = np.random.default_rng(int(away))
+    history = History(model)
+    for number, sample in enumerate(SAMPLES):
+        side = away * rng.choice([-1.0, 1.0], 50)
+        history.tare(biotac_touch(np.clip(REST + side, 1.0, 4094.0)), stamp_ns=sample.stamp_ns)
+        reading = biotac_touch(np.clip(sample.touch.values + side, 1.0, 4094.0))
+        history.touched(sample.cloud, sample.grasp, reading, stamp_ns=sample.stamp_ns, same_object=number % 3 > 0)
+        history.save(tmp_path / "hand", "right")
+        again = History.load(tmp_path / "hand", model, "right")
+        for name, value in history.to_tensors().items():
+            assert_array_equal(again.to_tensors()[name], value, err_msg=name)
+    assert np.isfinite(predict(again, SAMPLES[0]).value.values).all()
+    assert away == 30.0 or sum(history.restarts.values())  # the jumps were seen
+
+
+def test_several_that_save_one_history_and_load_it_do_not_disturb_each_other(model: TouchModel, tmp_path: Path) -> None:
+    path = tmp_path / "hand"
+    histories = [read(History(model), FIRST[: k + 1]) for k in range(3)]
+    histories[0].save(path)
+
+    def save_and_load(history: History) -> set[int]:
+        loaded = set()
+        for _ in range(20):
+            history.save(path)
+            loaded.add(History.load(path, model).touches)
+        return loaded
+
+    with ThreadPoolExecutor(3) as threads:
+        assert set.union(*threads.map(save_and_load, histories)) <= {1, 2, 3}
+    assert [*tmp_path.iterdir()] == [path]
+
+
 @pytest.fixture
 def path(model: TouchModel, tmp_path: Path) -> Path:
     file = HistoryFile(tmp_path / "right.safetensors", "right")
@@ -173,7 +210,14 @@ def test_every_damage_and_impossible_values_though_sealed_are_refused(model: Tou
             History.load(path, model, "right")
     tensors = load(content)  # sealed again, with impossible values
     tensors.pop("sha256")
-    for name, value in (("tracker/mean", np.inf), ("version", 7), ("signature", None), ("tracker/counts", -1)):
+    for name, value in (
+        ("tracker/mean", np.inf),
+        ("version", 7),
+        ("signature", None),
+        ("tracker/counts", -1),
+        ("tracker/covariance", -1.0),
+        ("tracker/covariance", 1e30),
+    ):
         changed = {key: array.copy() for key, array in tensors.items()}
         if value is None:
             changed[name] = changed[name][:3]

@@ -59,6 +59,61 @@ def same_grasp(moved, grasp):
     )
 
 
+def test_a_pose_that_is_none_and_a_frame_that_nothing_knows_are_refused_by_name(graph, scene_cloud):
+    for settings, reason in (
+        ({"camera_pose": SEVEN}, "camera_pose: is a pose in output_frame, which is empty"),
+        ({"output_frame": "b", "camera_pose": [1.0]}, "camera_pose: [1.0] is not x, y, z and a quaternion x, y, z, w"),
+        ({"output_frame": "b", "camera_pose": [0.0] * 7}, "camera_pose: orientation: length 0"),
+    ):
+        with pytest.raises(Exception, match=reason.replace("[", r"\[").replace("]", r"\]")):
+            graph.add("perception", **settings)
+    try:
+        import tf2_ros  # noqa: F401
+    except ImportError:
+        (node,) = graph.add("perception", output_frame="base_link")
+        assert node.failure.startswith("output_frame: base_link: tf2_ros is not installed; install")
+
+
+@pytest.mark.slow
+def test_tf_is_asked_at_the_stamp_of_the_cloud_and_what_it_lacks_is_told(graph, scene_cloud, model_card):
+    tf2_ros = pytest.importorskip("tf2_ros", reason="tf2_ros comes with a full ROS 2")
+    from geometry_msgs.msg import Transform, TransformStamped, Vector3
+
+    from foretouch.ros.messages.conversions import header_to_msg, rotation_to_msg
+
+    graph.add("perception", model=model_card, output_frame="base_link")
+    heard, grasps = graph.listen(TouchPredictionArray, "touch"), graph.listen(GraspArray, "grasps")
+    talk = graph.talk_matched(PointCloud2, "points")
+    frame = scene_cloud().frame_id
+
+    def send(stamp_s):
+        talk.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp_s * 10**9)))
+        graph.until(lambda: heard and heard[-1].header.stamp.sec == stamp_s)
+        return heard[-1]
+
+    graph.matched("touch", "grasps")
+    answer = send(100)
+    assert answer.status == Status.UNKNOWN_FRAME
+    assert answer.reason.startswith(f"no_transform: from '{frame}' to 'base_link' at the stamp of the cloud: ")
+    broadcaster = tf2_ros.TransformBroadcaster(graph.probe)
+    graph.matched("/tf")
+    turned = rotation_to_msg(POSE[:3, :3])
+    for stamp_s, shift in ((200, 0.0), (202, 2.0)):  # a camera that moves by 1 m/s
+        x, y, z = POSE[:3, 3] + np.array([shift, 0.0, 0.0])
+        moved = Transform(translation=Vector3(x=x, y=y, z=z), rotation=turned)
+        header = header_to_msg("base_link", stamp_s * 10**9)
+        broadcaster.sendTransform(TransformStamped(header=header, child_frame_id=frame, transform=moved))
+    graph.until(lambda: send(201).status == Status.OK)
+    (one,) = (one for one in grasps if one.header.stamp.sec == 201 and one.grasps)
+    g1 = at(one.grasps[0].g1) + np.array([1.0, 0.0, 0.0])
+    assert_allclose(xyz(heard[-1].predictions[0].grasp.g1), g1, atol=1e-6)
+    late = send(203)
+    assert (late.status, "extrapolation into the future" in late.reason) == (Status.UNKNOWN_FRAME, True)
+
+
+# From here on one graph runs, for all tests.
+
+
 @pytest.fixture(scope="module")
 def based(module_graph, scene_cloud, model_card):
     """What perception publishes for one cloud, by topic, with a camera whose pose in base_link is a parameter."""
@@ -161,55 +216,3 @@ def test_an_object_that_is_sent_without_a_table_stands_on_a_level_one(module_gra
     given = ask(module_graph, cloud=camera, contacts=contacts, table=[level]).batch
     assert_allclose(batch.rotations, given.rotations, atol=1e-9)
     assert_allclose(batch.scalars, given.scalars, rtol=1e-5)
-
-
-def test_a_pose_that_is_none_and_a_frame_that_nothing_knows_are_refused_by_name(graph, scene_cloud):
-    for settings, reason in (
-        ({"camera_pose": SEVEN}, "camera_pose: is a pose in output_frame, which is empty"),
-        ({"output_frame": "b", "camera_pose": [1.0]}, "camera_pose: [1.0] is not x, y, z and a quaternion x, y, z, w"),
-        ({"output_frame": "b", "camera_pose": [0.0] * 7}, "camera_pose: orientation: length 0"),
-    ):
-        with pytest.raises(Exception, match=reason.replace("[", r"\[").replace("]", r"\]")):
-            graph.add("perception", **settings)
-    try:
-        import tf2_ros  # noqa: F401
-    except ImportError:
-        (node,) = graph.add("perception", output_frame="base_link")
-        assert node.failure.startswith("output_frame: base_link: tf2_ros is not installed; install")
-
-
-@pytest.mark.slow
-def test_tf_is_asked_at_the_stamp_of_the_cloud_and_what_it_lacks_is_told(graph, scene_cloud, model_card):
-    tf2_ros = pytest.importorskip("tf2_ros", reason="tf2_ros comes with a full ROS 2")
-    from geometry_msgs.msg import Transform, TransformStamped, Vector3
-
-    from foretouch.ros.messages.conversions import header_to_msg, rotation_to_msg
-
-    graph.add("perception", model=model_card, output_frame="base_link")
-    heard, grasps = graph.listen(TouchPredictionArray, "touch"), graph.listen(GraspArray, "grasps")
-    talk = graph.talk_matched(PointCloud2, "points")
-    frame = scene_cloud().frame_id
-
-    def send(stamp_s):
-        talk.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp_s * 10**9)))
-        graph.until(lambda: heard and heard[-1].header.stamp.sec == stamp_s)
-        return heard[-1]
-
-    graph.matched("touch", "grasps")
-    answer = send(100)
-    assert answer.status == Status.UNKNOWN_FRAME
-    assert answer.reason.startswith(f"no_transform: from '{frame}' to 'base_link' at the stamp of the cloud: ")
-    broadcaster = tf2_ros.TransformBroadcaster(graph.probe)
-    graph.matched("/tf")
-    turned = rotation_to_msg(POSE[:3, :3])
-    for stamp_s, shift in ((200, 0.0), (202, 2.0)):  # a camera that moves by 1 m/s
-        x, y, z = POSE[:3, 3] + np.array([shift, 0.0, 0.0])
-        moved = Transform(translation=Vector3(x=x, y=y, z=z), rotation=turned)
-        header = header_to_msg("base_link", stamp_s * 10**9)
-        broadcaster.sendTransform(TransformStamped(header=header, child_frame_id=frame, transform=moved))
-    graph.until(lambda: send(201).status == Status.OK)
-    (one,) = (one for one in grasps if one.header.stamp.sec == 201 and one.grasps)
-    g1 = at(one.grasps[0].g1) + np.array([1.0, 0.0, 0.0])
-    assert_allclose(xyz(heard[-1].predictions[0].grasp.g1), g1, atol=1e-6)
-    late = send(203)
-    assert (late.status, "extrapolation into the future" in late.reason) == (Status.UNKNOWN_FRAME, True)

@@ -175,8 +175,11 @@ ONCE = {  # commands of the pages that end by themselves, by what their output h
     "ros2 node list": "/foretouch/perception\n",
     "ros2 topic list": "/foretouch/touch\n",
     "ros2 launch foretouch FILE --show-args": "'namespace'",
-    "ros2 service call /foretouch/forget_touches std_srvs/srv/Trigger": "success=True, message='0 touches forgotten'",
+    "ros2 service call /foretouch/forget_touches std_srvs/srv/Trigger": " touches forgotten",
     "ros2 param set /foretouch/perception target.mode free": "Set parameter successful",
+    "ros2 param dump /foretouch/perception": "ros__parameters:",
+    "ros2 launch foretouch scene.launch.py scene:=FILE": None,  # with files in the tests below
+    "ros2 launch foretouch replay.launch.py": None,
     "ros2 param set": None,  # the name of a command alone, as those below
     "ros2 param list": None,
     "ros2 topic echo": None,
@@ -190,6 +193,7 @@ ON_AND_ON = {  # commands that go on until Ctrl-C, by the line of the launch or 
     "ros2 topic echo /diagnostics": "name: /foretouch/perception",
     "ros2 launch foretouch perception.launch.py camera:=false depth:=TOPIC": "process started",
     "ros2 launch foretouch perception.launch.py camera:=false input:=objects": "process started",
+    "ros2 launch foretouch scene.launch.py": "process started",
     "ros2 launch foretouch recorder.launch.py record:=session": "recording to|recorder.*session",
     "ros2 run foretouch foretouch_bridge": "serving at ws://",
 }

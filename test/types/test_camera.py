@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 from foretouch.camera.device import realsense
 from foretouch.camera.stream import library_camera
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.errors import CameraError, CloudError, MissingDependencyError
 from foretouch.types import Cloud
 from foretouch.types.camera import CameraModel, DepthImage
@@ -193,6 +194,24 @@ def test_masked_pixels_are_no_depth() -> None:
     assert np.array_equal(np.isnan(xyz[..., 2]), np.ma.getmaskarray(depth) | (np.ma.getdata(depth) == 0))
 
 
+@pytest.mark.parametrize("kind", [np.uint16, np.float32, np.float64])
+def test_the_next_image_in_the_same_buffer_changes_no_cloud(kind: type) -> None:
+    unit = 1000 if kind == np.uint16 else 1
+    buffer, colours = np.full((480, 848), 0.9 * unit).astype(kind), np.full((480, 848, 3), 10, np.uint8)
+    buffer[200:260, 400:460] = (0.85 * unit) if kind != np.uint16 else 850
+    first = buffer.copy()
+    clouds = [Cloud.from_depth(buffer, camera, rgb=colours) for camera in (K, CameraModel.of(K, 848, 480))]
+    points, scene = clouds[0].xyz.copy(), segment(clouds[1], SegmentationConfig())
+    labels = scene.labels.copy()
+    buffer[:], colours[:] = 1.4 * unit, 0
+    for cloud in (*clouds, scene.cloud):
+        np.testing.assert_array_equal(cloud.xyz, points)
+        assert (cloud.rgb == 10).all()
+    expected = segment(Cloud.from_depth(first, K), SegmentationConfig())
+    np.testing.assert_array_equal(labels, expected.labels)
+    assert [one.cloud.xyz.tolist() for one in scene.objects] == [one.cloud.xyz.tolist() for one in expected.objects]
+
+
 def test_a_camera_is_made_of_whole_sizes_and_numbers() -> None:
     for size in ("a", 848.5, None, 0, 20_000):
         with pytest.raises(CloudError, match=r"width: .* px is not a whole number between 1 and 16384"):
@@ -219,7 +238,7 @@ def test_zeros_behind_the_coefficients_of_a_driver_are_no_distortion() -> None:
 @pytest.mark.real_data
 def test_images_of_others_are_depth_images(real_data: Path) -> None:
     files = sorted((real_data / "real_scenes").glob("*.npz"))
-    assert len(files) == 18
+    assert len(files) == 27
     for file in files:
         with np.load(file) as scene:
             depth, (fx, fy, cx, cy) = scene["depth_mm"], scene["K"]

@@ -12,11 +12,12 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from types import ModuleType
 
 from foretouch import __version__
 from foretouch.cli.parser import CommandParser
-from foretouch.errors import ForetouchError
+from foretouch.errors import ForetouchError, shown
 from foretouch.interrupts import end_at_once, raise_interrupts, signal_number
 from foretouch.laboratory import needs_laboratory
 
@@ -76,7 +77,8 @@ def _reported(argv: Sequence[str] | None) -> int:
         return 0
     except OSError as err:  # a full disk, a folder that may not be written
         _discard_output()
-        print(f"foretouch: {err.filename or 'output'}: {os.strerror(err.errno) if err.errno else err}", file=sys.stderr)
+        name, cause = shown(str(err.filename or "output")), os.strerror(err.errno) if err.errno else err
+        print(f"foretouch: {name}: {cause}", file=sys.stderr)
         return 1
     finally:
         end_at_once()
@@ -85,7 +87,8 @@ def _reported(argv: Sequence[str] | None) -> int:
 
 def _discard_output() -> None:
     """Keep the interpreter from writing the rest of stdout at its end, which would fail again."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    with suppress(ValueError):  # of a stream without a descriptor
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _prepare_streams() -> None:

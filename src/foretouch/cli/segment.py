@@ -62,6 +62,7 @@ def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline
                 "n_points": object_.n_points,
                 "centroid": object_.centroid,
                 "bounds": object_.bounds,
+                "confidence": object_.confidence,
             }
             for object_ in scene.objects
         ],
@@ -94,8 +95,9 @@ def _show(record: dict[str, Any], *, everything: bool) -> None:
             str(part["n_points"]),
             " ".join(f"{v:.3f}" for v in part["centroid"]),
             " x ".join(f"{1e3 * v:.0f}" for v in np.ptp(part["bounds"], axis=0)),
+            "" if part.get("confidence") is None else f"{part['confidence']:.2f}",
         ]
         for part in (*record["objects"], *(record["background"] if everything else ()))
     ]
     title = f"{record['input']}: {record['status']} {record['reason']}".rstrip() + f" ({record['ms']['total']:.1f} ms)"
-    print_table(title, ["object", "points", "centroid [m]", "extent [mm]"], rows)
+    print_table(title, ["object", "points", "centroid [m]", "extent [mm]", "whole"], rows)

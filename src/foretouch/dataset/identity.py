@@ -42,6 +42,8 @@ def name_of(value: Any, what: str) -> str:
         except UnicodeDecodeError as err:
             raise DatasetError(f"{what}: {shown(value)} is not text in UTF-8") from err
     if isinstance(value, str):
+        if re.search("[\ud800-\udfff]", value):
+            raise DatasetError(f"{what}: {shown(value)} holds half of a surrogate pair, which is no text")
         return str(value)
     whole = (
         isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST and value == int(value)

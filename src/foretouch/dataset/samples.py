@@ -166,6 +166,8 @@ class SampleSet(Summarised, Tabular):
         Args:
             keep: Such as `lambda sample: sample.outcome == "success"`; it is not kept.
         """
+        if not callable(keep):
+            raise DatasetError(f"keep: {shown(keep, 80)} is not a function of a sample")
         return self.subset([k for k, sample in enumerate(self.with_discarded()) if keep(sample)])
 
     def with_discarded(self) -> Iterator[Sample]:

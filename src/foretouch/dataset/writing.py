@@ -21,6 +21,7 @@ from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
 from foretouch.dataset.stamps import stamp_faults
 from foretouch.errors import DatasetError, ForetouchError, shown
+from foretouch.files import as_path
 from foretouch.grasp import closing_faults
 from foretouch.tactile.description import Sensor, load_sensor
 from foretouch.types import Grasps, Sample
@@ -92,7 +93,7 @@ def write(
         raise DatasetError(f"samples: there is none to write to {path}; pass at least one sample")
 
     made = _made_of(chain(start, records), own, missing, remarks)
-    write_records(Path(path), made, identity, own, result, remarks=remarks, min_free_mb=min_free_mb)
+    write_records(as_path(path), made, identity, own, result, remarks=remarks, min_free_mb=min_free_mb)
     for line in result.notes:
         warnings.warn(line, stacklevel=2)
     return result
@@ -160,11 +161,11 @@ def write_records(
         config = RecordingConfig(fsync_samples=0, min_free_mb=min_free_mb)  # synchronised once, at the end
         with RecordingWriter(folder, identity, config, sensor=sensor, whole=True) as writer:
             for sample in records:
+                name = writer.append(sample)
                 series = sample.readings
                 faults = (
                     {} if sample.series is None else stamp_faults(sample.series.stamps_ns, sensor.config.update_rate)
                 )
-                name = writer.append(sample)
                 for flag, text in faults.items():
                     remarks.setdefault(flag, []).append(f"{name}: {text}")
                 result.samples += 1

@@ -23,6 +23,7 @@ from foretouch.errors import CloudError, FrameError, GraspError
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.completed import (
     COMPLETED_POINTS,
+    MAY_NOT_FIT,
     SCORE_OF_NONE,
     CompletedObject,
     as_in_image,
@@ -36,7 +37,9 @@ from foretouch.grasp.hold import APART_M, HeldGrasp, keep_held
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
+from foretouch.grasp.unseen import BESIDE_UNSEEN, DepthAround
 from foretouch.types import NO_GRASPS, Cloud, Float32, Float64, Grasp, Grasps, Integer, Plane
+from foretouch.types.arrays import objects
 from foretouch.types.scene import Obstacles
 from foretouch.types.summary import Summarised
 
@@ -81,6 +84,7 @@ class PlanOptions(TypedDict, total=False):
     hold: float  # in units of the score; by default 0
     hand: HandConfig  # what the hand can execute; method "completed" only
     obstacles: Obstacles | None  # what stands around the object; method "completed" only
+    around: DepthAround | None  # the depth image around the object; method "completed" only
 
 
 def plan_grasps(cloud: Cloud, plane: Plane, config: GeoGraspConfig, **options: Unpack[PlanOptions]) -> GraspPlan:
@@ -207,11 +211,15 @@ def _plan_completed(
             kept = xyz[weighted.inlier > 0.0]
             plan.slide_m = _random_slide(kept, plan.centroid, axis, config.slide_fraction, rng)
     with timed(plan.ms, "completion"):
-        shift = plan.slide_m * axis
-        completed = CompletedObject(weighted, spacing, plane, hand, obstacles, shift, config.neighbours)
+        completed = CompletedObject(
+            weighted, spacing, plane, hand, obstacles, plan.slide_m * axis, neighbours=config.neighbours
+        )
+        around = options.get("around")
         counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
-        lines = completed.lines()
+        lines = free = completed.lines()
+        if around is not None:
+            lines = completed.beside_unseen(free, around)
         counts |= lines.counts
         plan.lost, plan.blocked_by = lines.lost, blocking_objects(lines, obstacles)
     with timed(plan.ms, "ranking"):
@@ -227,6 +235,8 @@ def _plan_completed(
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             grasps, plan.outdone = keep_held(held, held_score, plan.grasps, options.get("hold", 0.0))
             plan.grasps = grasps[: config.count]
+        looked_at = lines is not free or len(plan.grasps) > 1 or held is not None
+        plan.grasps = _flagged(plan.grasps, hand, around if looked_at else None)
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
         plan.status, plan.reason = "ok", f"the best of {counts['n_free']} possible grasps ({counts['n_lines']} tried)"
@@ -235,3 +245,14 @@ def _plan_completed(
             plan.reason += f"; {len(plan.grasps)} grasps instead of {config.count}: {near}"
     else:
         plan.reason = why_no_line(lines, hand, obstacles)
+
+
+def _flagged(grasps: Grasps, hand: HandConfig, around: DepthAround | None) -> Grasps:
+    """Return grasps with the flags of those that may not fit the hand, or have a contact beside pixels without depth."""
+    if not grasps:
+        return grasps
+    tight = [way.width_at_most_m > hand.opening for way in grasps.way]
+    beside = len(grasps) * [False] if around is None else around.beside(grasps.g1, grasps.g2) > 0.0
+    marks = {MAY_NOT_FIT: tight, BESIDE_UNSEEN: beside}
+    flags = [tuple(flag for flag, which in marks.items() if which[k]) for k in range(len(grasps))]
+    return grasps.replace(flags=objects(flags))

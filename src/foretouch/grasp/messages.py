@@ -81,12 +81,13 @@ def has_orientation(message: Any) -> bool:
     return bool(np.any(message.rotation) or _quaternion(message).tolist() not in _NO_TURN)
 
 
-def decode_grasp(message: Any, rotation: Float64 | None = None) -> Grasp:
+def decode_grasp(message: Any, rotation: Float64 | None = None, score: float | None = None) -> Grasp:
     """Decode a `foretouch_msgs/Grasp`. The position of its pose is not used: it is the midpoint of the contacts.
 
     Args:
         message: With a matrix, a quaternion, or both; nine zeros as matrix mean that only the quaternion counts.
         rotation: (3, 3) float64, instead of the message's rotation.
+        score: Instead of the message's, which is a float32.
 
     Raises:
         GraspError: If a number is not finite, the contacts are one point, matrix and quaternion are absent or
@@ -94,7 +95,9 @@ def decode_grasp(message: Any, rotation: Float64 | None = None) -> Grasp:
     """
     g1, g2 = (np.array([p.x, p.y, p.z], np.float64) for p in (message.g1, message.g2))
     rotation = _rotation_of(message) if rotation is None else rotation
-    return Grasp(g1, g2, rotation, float(message.score), message.id, message.object_id, _way_of(message))
+    score = float(message.score) if score is None else score
+    flags = tuple(getattr(message, "flags", ()))  # which messages before 0.5 lack
+    return Grasp(g1, g2, rotation, score, message.id, message.object_id, _way_of(message), flags)
 
 
 def _way_of(message: Any) -> WayIn | None:
@@ -125,6 +128,7 @@ def _way_of(message: Any) -> WayIn | None:
         arrays["posture"],
         tuple(message.joints),
         message.hand,
+        getattr(message, "width_at_most_m", 0.0) or float("nan"),  # which messages before 0.5 lack
     )
 
 

@@ -189,7 +189,8 @@ typedef struct {
     int64_t room;
 } Trees;
 void concave_nodes(const Labelled *of, int64_t stride, int64_t arm, double sag, double noise, int64_t *counts);
-void split_clusters(const Labelled *of, int64_t k, const double *settings, const Trees *trees, int64_t *counts);
+void split_clusters(const Labelled *of, int64_t k, const double *settings, const Trees *trees, int64_t *counts,
+    double *joins);
 
 /* voxels.c */
 void voxel_cells(const float *xyz, int64_t n, double cells_per_m, int64_t *cell, int64_t *counts, int64_t *found);

@@ -15,6 +15,7 @@
 enum { BEND, STEP_M, PART_M2, SAME, PLANE, PITCH = PLANE + 4 };  /* of `settings` */
 enum { PARTS, BY_SIZE, BY_BORDER, BY_VIEW, RATED, COUNTS };       /* of `counts` */
 enum { TINY_ONES, RATED_ONES, SMALL_ONES };                       /* that are joined, in this order */
+enum { REFUSED, ACCEPTED, CELLS_OF, JOINS };                      /* of `joins` */
 
 #define STEP 2.0f   /* bend of a step in depth: chord of opposite normals */
 #define FULL 0.7f   /* a sharper bend counts as much as this one, of 40 degrees, and a convex one as none */
@@ -47,6 +48,7 @@ typedef struct {
 
 typedef struct {
     double sum[SUMS], top, bottom; /* heights above the table */
+    double accepted;       /* lowest log odds of the joins that made it, infinite without any that was rated */
     shape is;              /* of the sums, once it is `known` */
     int32_t known, to, first, seed; /* the fragment that it has joined, its first border, the innermost cell of its largest */
 } fragment;
@@ -348,7 +350,7 @@ static void add_cell(graph *g, int64_t i) {
 /* Sums of all fragments, and of all borders. */
 static void measure(graph *g) {
     for (int64_t i = 0; i <= g->n_fragments; i++) {
-        g->fragments[i] = (fragment){.top = -INFINITY, .bottom = INFINITY, .to = (int32_t)i, .first = -1};
+        g->fragments[i] = (fragment){.top = -INFINITY, .bottom = INFINITY, .accepted = INFINITY, .to = (int32_t)i, .first = -1};
     }
     for (int64_t i = 0, any = 0; i < g->n; i++) {
         const cell *c = g->cells + i;
@@ -563,9 +565,10 @@ static void rate(graph *g, border *of) {
     g->counts[RATED]++;
 }
 
-/* Joins b to a: their sums, and their borders with others. */
-static void join_pair(graph *g, int32_t a, int32_t b) {
+/* Joins b to a, which is rated by log odds: their sums, and their borders with others. */
+static void join_pair(graph *g, int32_t a, int32_t b, double score) {
     fragment *to = g->fragments + a, *from = g->fragments + b;
+    to->accepted = fmin(score, fmin(to->accepted, from->accepted));
     to->known = 0, to->seed = from->sum[CELLS] > to->sum[CELLS] ? from->seed : to->seed;
     to->top = to->top > from->top ? to->top : from->top, to->bottom = to->bottom < from->bottom ? to->bottom : from->bottom;
     for (int k = 0; k < SUMS; k++) {
@@ -624,7 +627,7 @@ static void join_all(graph *g) {
     for (int pass = TINY_ONES; pass <= SMALL_ONES; pass++) {
         for (const border *best; (best = next_to_join(g, pass));) {
             g->counts[pass != RATED_ONES ? BY_SIZE : best->sum[LENGTH] > 0.0 ? BY_BORDER : BY_VIEW]++;
-            join_pair(g, best->a, best->b);
+            join_pair(g, best->a, best->b, pass == TINY_ONES ? INFINITY : best->score);
         }
     }
     for (int64_t i = 0; i < g->n; i++) {
@@ -692,11 +695,30 @@ static int64_t write_parts(graph *g) {
     return count;
 }
 
+/* Writes what tells whether each part is a whole object, in the row of its name. */
+static void write_joins(const graph *g, double *joins) {
+    const int32_t *names = g->root;
+    for (int64_t i = 1; i <= g->n_fragments; i++) {
+        const fragment *f = g->fragments + i;
+        double *row = joins + names[i - 1] * JOINS;
+        if (f->to == i && names[i - 1]) {
+            row[REFUSED] = -INFINITY, row[ACCEPTED] = f->accepted, row[CELLS_OF] = f->sum[CELLS];
+        }
+    }
+    for (const border *of = g->borders; of < g->borders + g->n_borders; of++) {
+        double *a = joins + names[of->a - 1] * JOINS, *b = joins + names[of->b - 1] * JOINS;
+        if (names[of->a - 1] && names[of->b - 1]) {
+            a[REFUSED] = fmax(a[REFUSED], of->score), b[REFUSED] = fmax(b[REFUSED], of->score);
+        }
+    }
+}
+
 /* Splits the clusters of a window into parts, whose labels, from 1, replace those of the clusters.
  *
  * k: side of a cell in pixels. counts: (COUNTS), the number of parts, those that were joined for each reason, and the borders that
- * were rated; -1 in the first without memory. */
-VECTORISED void split_clusters(const Labelled *of, int64_t k, const double *settings, const Trees *trees, int64_t *counts) {
+ * were rated; -1 in the first without memory. joins: (cells + 1, JOINS), of each part the highest log odds of a join that was
+ * refused, the lowest of those that made it, both infinite without any, and its cells. */
+VECTORISED void split_clusters(const Labelled *of, int64_t k, const double *settings, const Trees *trees, int64_t *counts, double *joins) {
     graph g = {.of = of, .first = of->xyz + 3 * (of->row * of->across + of->column), .k = k, .h = (of->h + k - 1) / k, .w = (of->w + k - 1) / k, .s = settings, .trees = trees, .counts = counts};
     const size_t n = (size_t)(g.n = g.h * g.w);
     memset(counts, 0, COUNTS * sizeof(int64_t));
@@ -717,6 +739,7 @@ VECTORISED void split_clusters(const Labelled *of, int64_t k, const double *sett
         look_behind(&g);
         join_all(&g);
         counts[PARTS] = write_parts(&g);
+        write_joins(&g, joins);
     }
     free(g.fragments), free(g.cells);
 }

@@ -271,7 +271,7 @@ class StateFilter:
         if x is not None:
             mean = mean + self.mean[3] * x
             variance = variance + x * (2.0 * self.covariance[3, :parts].sum(axis=0) + x * self.covariance[3, 3])
-        return mean, variance
+        return mean, np.maximum(variance, 0.0)  # after a large jump it may round below
 
     def observe(self, value: Float64, noise: Float64, parts: int = 3, x: Float64 | None = None) -> None:
         """Add (K,) observations of what `predicted` predicts, with (K,) variances; infinite ones are of no effect."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
 from foretouch.errors import CloudError, FileError, ForetouchError, ModelError, TactileError, described, shown
-from foretouch.files import read_bytes, replace_files, system_errors
+from foretouch.files import as_path, read_bytes, replace_files, system_errors
 from foretouch.grasp.axis import with_rotations
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import closing_faults, joined_faults
@@ -36,7 +36,7 @@ from foretouch.tactile import Ranges, touch_faults, usual_ranges
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import require_same
 from foretouch.types import AnyArray, Cloud, Evidence, Float64, Grasp, Grasps, Plane, Predictions, Reference, Touch
-from foretouch.types.arrays import objects
+from foretouch.types.arrays import numbers, objects
 from foretouch.types.grasps import contact_faults
 from foretouch.types.rotations import are_absent, fault_texts, require_none, rotation_faults
 from foretouch.types.scene import Object
@@ -183,7 +183,7 @@ class TouchModel(Summarised):
             names the strongest reading that it was adapted to: touches of the object, tare, history or none. Flags:
             `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or
             grasp is out of the training distribution, with a reason from `UNFAMILIAR`, `similar_touches` where the places of earlier touches took part,
-            `off_object` where a contact is in the air, `assumed_table` without a table, and `equal_pressure` where
+            those of the grasps, such as `beside_unseen`, `off_object` where a contact is in the air, `assumed_table` without a table, and `equal_pressure` where
             grasps of the call cannot be ranked by pressure.
 
         Raises:
@@ -195,11 +195,17 @@ class TouchModel(Summarised):
         if history is not None:
             if tare is not None:
                 raise ModelError("history: has tares and touches of its own")
+            if not isinstance(history, History):
+                raise ModelError(f"history: {type(history).__name__} is not a History")
             self._calibrated()
             if not self.is_same(history.model):
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
         flags = cloud.flags if isinstance(cloud, Object) else ()
         cloud, own_table = _cloud_and_table(cloud)
+        if table is not None and not isinstance(table, Plane):
+            raise CloudError(
+                f"table: {type(table).__name__} is not a Plane, such as Plane.from_coefficients([a, b, c, d])"
+            )
         table = table or own_table
         if history is not None and history.same_object is None:
             same = history.is_current(cloud, _SAME_OBJECT_M)
@@ -218,6 +224,8 @@ class TouchModel(Summarised):
             predictions = refused.put(usable, predictions)
         for flag in flags:
             predictions = predictions.flagged(flag)
+        for flag in dict.fromkeys(flag for own in columns.flags for flag in own):
+            predictions = predictions.flagged(flag, np.array([flag in own for own in columns.flags]))
         return flag_equal_pressures(predictions, self)
 
     def _predict(
@@ -373,6 +381,16 @@ def _line_of(err: BaseException) -> str:
     return f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
 
 
+def _checked_tdc(tdc: Any, model: TouchModel) -> Float64 | None:
+    """Return (F,) temperatures of the fingers; a `TactileError` if they are none."""
+    if tdc is None:
+        return None
+    values, wanted = numbers(tdc, "tdc", TactileError), (len(model.sensor.channels.fingers),)
+    if values.shape != wanted:
+        raise TactileError(f"tdc: shape {values.shape} is not {wanted}, one of each finger")
+    return values
+
+
 def _cloud_and_table(target: Cloud | Object) -> tuple[Cloud, Plane | None]:
     """Return the cloud and the table of an object; of a cloud no table."""
     if isinstance(target, Object):
@@ -455,7 +473,8 @@ class History(Summarised):
             TactileError: If the reading is of another sensor or not of working ones, or older than the last one.
         """
         stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
-        if self._tare_ns >= 0 and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
+        tdc = _checked_tdc(tdc, self.model)
+        if self._tare_ns >= 0 and isinstance(stamp_ns, int) and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
             self.tared = True
             return ()
         restarted = self.tracker.add_tare(stamp_ns, self.model.tare_offset(reading), tdc=tdc)
@@ -495,6 +514,7 @@ class History(Summarised):
         cloud, table = _cloud_and_table(target)
         same = self.is_current(cloud, _SAME_OBJECT_M) if same_object is None else same_object
         values = self.model.usable_values(reading, "touched")
+        tdc = _checked_tdc(tdc, self.model)
         if estimate is None:
             estimate = self.model.estimate_executed(cloud, [grasp], table=table)
         if not (same and self.touches):
@@ -597,8 +617,11 @@ class History(Summarised):
         Raises:
             FileError: If it cannot be written; the one before is kept.
         """
+        path = as_path(path)
+        if not isinstance(hand, str) or hand != hand.encode(errors="replace").decode():
+            raise FileError(path, f"hand: {shown(hand)} is not a name")
         content = pack_history(self.to_tensors(), hand, self.model.name, self.model.sensor.channels)
-        replace_files({Path(path): content})
+        replace_files({path: content})
 
     @classmethod
     def load(cls, path: str | Path, model: TouchModel, hand: str | None = None) -> Self:
@@ -613,8 +636,11 @@ class History(Summarised):
             FileError: If the file is absent or damaged, or of another version, sensor, hand or model.
             ModelError: If the model has no calibration.
         """
+        if not isinstance(model, TouchModel):
+            raise ModelError(f"model: {shown(model)} is not a TouchModel, such as load_model()")
+        path = as_path(path)
         model.new_tracker()  # a model without a calibration is named before the file
-        tensors = unpack_history(Path(path), hand, model.name, model.sensor.channels)
+        tensors = unpack_history(path, hand, model.name, model.sensor.channels)
         try:
             return cls.from_tensors(model, tensors)
         except ModelError as err:

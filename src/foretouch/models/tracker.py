@@ -55,6 +55,8 @@ _FACTOR_RANGE: Final = math.log(8.0)  # the factor is at most 8 times its first 
 _LATE_NS: Final = 60 * 10**9  # readings of several topics arrive in this order at most
 _AHEAD_NS: Final = 60 * 10**9
 _TDC_JUMP: Final = (150.0, 2.0, 800.0)  # at once, in each second, and at most; recorded: 71 in 95 s, 385 in a day
+_MOST_MEAN: Final = 4.0  # times the largest level
+_ROUNDING: Final = 1e-15  # of a covariance, relative to the largest one before
 _MOST_SLOPE: Final = 1e4  # in the coordinates of the basis
 
 
@@ -441,6 +443,10 @@ class SensorTracker:
             tracker.similar = _similar(parameters, tracker.touches, tensors)
         return tracker
 
+    def _largest_level(self) -> Float64:
+        """Return (D,) how far from zero readings can be from predictions, in the coordinates of the basis."""
+        return np.asarray(np.abs(self._inverse) @ (2.0 * self._channels.most), np.float64)
+
     def _restore(self, tensors: Mapping[str, AnyArray]) -> None:
         touches, readings, kind, *suspect = (int(value) for value in tensors["counts"])
         newest, last_of_object = (int(value) for value in tensors["stamps_ns"])
@@ -451,7 +457,7 @@ class SensorTracker:
             and (newest < 0) == (readings == 0)
             and (np.abs(tensors["log_factor"] - self._first_log_factor) <= _FACTOR_RANGE + 1e-9).all()
             and (np.abs(tensors["expected"]) <= self._channels.most * max(touches, 1)).all()
-            and np.abs(tensors["mean"]).max() <= 1e6
+            and (np.abs(tensors["mean"]) <= _MOST_MEAN * (largest := self._largest_level())).all()
         )
         if not possible:
             raise ModelError("counts, stamps_ns, log_factor, expected, mean: hold what readings cannot give")
@@ -468,11 +474,7 @@ class SensorTracker:
             if not (is_tdc(tdc[1]) | (tdc[1] == 0.0)).all() or np.abs(mean[3]).max() > _MOST_SLOPE:
                 raise ModelError("slope, tdc: hold values that readings cannot give")
             self._tdc = np.where(tdc[1] == 0.0, np.nan, tdc)
-        variances = np.einsum("iik->ik", covariance)
-        limit = self._filter.prior * (1.0 + 1e-6) + 1e-9
-        bound = np.sqrt(np.abs(variances[:, None] * variances)) * (1.0 + 1e-6) + 1e-9
-        if (variances < -1e-9).any() or (variances > limit).any() or (np.abs(covariance) > bound).any():
-            raise ModelError("covariance: is none that the parameters allow")
+        _check_covariance(covariance, self._filter.prior, largest)
         self._filter.mean[:], self._filter.covariance[:] = mean, covariance
         self._expected = tensors["expected"].astype(np.float64)
         self._log_factor = tensors["log_factor"].astype(np.float64)
@@ -480,6 +482,22 @@ class SensorTracker:
         self._readings = readings
         self._suspect = np.array(suspect, np.bool_)
         self._newest_ns, self._object_ns = newest, last_of_object
+
+
+def _check_covariance(covariance: Float64, prior: Float64, largest: Float64) -> None:
+    """Refuse (4, 4, K) covariances that readings cannot give, with a `ModelError`.
+
+    After a jump, the slow state is as uncertain as the jump was large (`StateFilter.restart`); no other part is ever less certain than
+    before any reading. Covariances that have followed a large jump are exact to its square times the rounding of a float64.
+    """
+    variances = np.einsum("iik->ik", covariance)
+    limit = prior.copy()
+    limit[0] = np.maximum(limit[0], largest**2)
+    rounding = 1e-9 + _ROUNDING * largest**2
+    bound = np.sqrt(np.abs(variances[:, None] * variances)) * (1.0 + 1e-6) + rounding
+    fits = (variances >= -rounding) & (variances <= limit * (1.0 + 1e-6) + rounding)
+    if not fits.all() or (np.abs(covariance) > bound).any():
+        raise ModelError("covariance: is none that the parameters allow")
 
 
 def innovation_statistics(standard: Float64, channels: Channels) -> Float64:

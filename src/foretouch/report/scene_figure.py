@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from foretouch.errors import ConfigError
+from foretouch.files import as_path
 from foretouch.report.hand_figure import COLOURS, hand_lines
 from foretouch.report.panels import FINGER_COLOURS, Axes, new_figure, save, some_points, without_formulas
 from foretouch.tactile.channels import finger_label
@@ -87,7 +88,7 @@ def draw_scene(
     if prediction is not None:
         _draw_touch(next(panels), prediction)
     if path is not None:
-        save(figure, Path(path))
+        save(figure, as_path(path))
     return without_formulas(figure)
 
 

@@ -42,6 +42,8 @@ def numbers(value: Any, name: str, fault: type[ForetouchError]) -> Float64:
     Raises:
         ForetouchError: Of the type `fault`, if they are no numbers.
     """
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        return value
     try:
         return _as_float64(unmasked(value))
     except OverflowError:

@@ -37,6 +37,7 @@ _TOGETHER: Final = 16_384  # pixels that are undone at a time, so that the array
 _STEPS: Final = 12  # of Newton's method; three are usual
 _EXACT: Final = 1e-9  # residual of a ray that counts as undone
 _MILLIMETRE: Final = 1e-3
+_UNITS: Final = (_MILLIMETRE, 1e-4)  # of depth images [m]
 _NEAREST_M, _FARTHEST_M = 0.02, 100.0  # between them is the middle depth of any image of a depth camera
 _SAMPLED: Final = 4096  # pixels of which the middle depth is taken
 
@@ -166,7 +167,7 @@ class CameraModel(Summarised):
         Raises:
             CloudError: If the image has another size or type, or the unit is not plausible. The message names it.
         """
-        return DepthImage(depth, self, scale).points()
+        return DepthImage(depth, self, scale, copy=False).points()
 
 
 class DepthImage:
@@ -176,12 +177,16 @@ class DepthImage:
         depth: See `CameraModel.points`.
         camera: Its camera.
         scale: See `CameraModel.points`.
+        copy: Whether the numbers are copied, since the points are made of them later. Otherwise nobody may write into `depth` any
+            more.
 
     Raises:
         CloudError: As `CameraModel.points`.
     """
 
-    def __init__(self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None) -> None:
+    def __init__(
+        self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None, *, copy: bool = True
+    ) -> None:
         depth = as_image(depth)
         height, width = check_image(depth)
         if (height, width) != camera.shape:
@@ -196,7 +201,7 @@ class DepthImage:
         self.camera = camera
         self._kind: type[np.uint16 | np.float32] = np.uint16 if kind == np.uint16 else np.float32
         with np.errstate(over="ignore"):  # what float32 cannot hold is no depth
-            self._depth = np.ascontiguousarray(depth, self._kind)
+            self._depth = np.array(depth, self._kind, order="C") if copy else np.ascontiguousarray(depth, self._kind)
         self._scale = scale
         self._rays = camera.rays
 
@@ -220,11 +225,25 @@ class DepthImage:
         first = top * self.camera.width + left
         self._write(xyz.reshape(-1, 3)[first:], self.camera.width, top, left, bottom - top, right - left, 1)
 
+    def depths(self, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> _Float32:
+        """Return the depths of pixels (...) of the image [m], float32; NaN where there is none."""
+        part = self._depth[rows, columns]
+        with np.errstate(over="ignore"):
+            depths = part.astype(np.float32) * np.float32(self._scale)
+        depths[~((depths > 0.0) & (depths < np.inf))] = np.nan
+        return depths
+
     def count(self, low_m: float, high_m: float) -> tuple[int, int]:
         """Count the pixels with a point, and those with a depth between two [m], both included."""
         counts, flat = np.empty(2, np.int64), self._depth.reshape(-1)
         _COUNT[self._kind](flat, flat.size, self._c_rays(*self._rays), low_m, high_m, counts)
         return int(counts[0]), int(counts[1])
+
+    @property
+    def millimetres(self) -> npt.NDArray[np.uint16] | None:
+        """(H, W) uint16, the image as it was received; None where its unit is not the millimetre."""
+        same = self._kind is np.uint16 and self._scale == _MILLIMETRE
+        return np.asarray(self._depth, np.uint16) if same else None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -290,13 +309,20 @@ def _check_unit(depth: npt.NDArray[Any], kind: np.dtype[Any], scale: float) -> N
         if positive.size:
             break
     else:
+        if (depth < 0).any():
+            raise CloudError(
+                "depth: is negative wherever it is not 0: it is the distance along the optical axis; for z of a renderer, "
+                "which looks along -z, pass -depth"
+            )
         return
     middle = float(np.partition(positive, positive.size // 2)[positive.size // 2]) * scale
     if _NEAREST_M <= middle <= _FARTHEST_M:
         return
     far = middle > _FARTHEST_M
+    fits = [unit for unit in _UNITS if _NEAREST_M <= middle / scale * unit <= _FARTHEST_M] if far else []
+    tenths = f"; for tenths of them {_UNITS[1]:g} ({middle / scale * _UNITS[1]:.3g} m)" if _UNITS[1] in fits else ""
     cure = (
-        "for millimetres pass scale=0.001 (--depth-scale 0.001; on a topic publish 16UC1)"
+        f"for millimetres pass scale=0.001 (--depth-scale 0.001; on a topic publish 16UC1){tenths}"
         if far
         else "for metres pass scale=1 (--depth-scale 1; on a topic publish 32FC1)"
     )

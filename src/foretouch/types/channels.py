@@ -131,7 +131,7 @@ class Channels(Summarised):
         Raises:
             TactileError: If no channel has that name.
         """
-        if name in self.modality_columns:
+        if isinstance(name, str) and name in self.modality_columns:
             return values[..., self.modality_columns[name]]
         names = [channel.name for channel in self.channels]
         if name not in names:

@@ -52,6 +52,8 @@ class Cloud(Summarised):
                 raise CloudError(f"rgb: shape {self.rgb.shape} differs from xyz, {self.xyz.shape}")
             if self.rgb.dtype != np.uint8:
                 raise CloudError(f"rgb: dtype {self.rgb.dtype} is not uint8")
+        if not isinstance(self.camera, CameraModel | None):
+            raise CloudError(f"camera: {type(self.camera).__name__} is not a CameraModel")
         if self.camera is not None and self.camera.shape != self.xyz.shape[:-1]:
             raise CloudError(f"camera: {self.camera.shape} is not the size of the image, {self.xyz.shape[:-1]}")
 
@@ -67,7 +69,7 @@ class Cloud(Summarised):
         stamp_ns: int = 0,
         rgb: UInt8 | None = None,
     ) -> "Cloud":
-        """Make the organised cloud of a depth image.
+        """Make the organised cloud of a depth image, which is copied: the next image may be written into the same buffer.
 
         Args:
             depth: (H, W) uint16, float32 or float64, distance along the optical axis. 0, NaN and infinity are no depth.
@@ -89,7 +91,8 @@ class Cloud(Summarised):
             K = CameraModel.of(K, width, height, distortion)  # noqa: N806
         elif distortion is not None:
             raise CloudError("distortion: is given twice, here and in the CameraModel")
-        return DepthCloud.of(DepthImage(image, K, scale), rgb, frame_id, stamp_ns)
+        colours = None if rgb is None else np.array(np.ma.filled(rgb, 0))
+        return DepthCloud.of(DepthImage(image, K, scale), colours, frame_id, stamp_ns)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         finite = int(np.count_nonzero(np.isfinite(self.xyz[..., 2])))
@@ -116,6 +119,22 @@ class Cloud(Summarised):
         """(N, 3) float32 [m], the points whose coordinates are finite."""
         points = self.xyz.reshape(-1, 3)
         return points[np.isfinite(points).all(axis=1)]
+
+    def depths(self, rows: Index, columns: Index) -> Float32:
+        """Return the depths of pixels (...) of an organised cloud [m]; NaN where there is none, and infinity out of view."""
+        height, width = self._shape
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        depths = self._depths(np.where(inside, rows, 0), np.where(inside, columns, 0))
+        depths[~inside] = np.inf
+        return depths
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return self.xyz.shape[:-1]
+
+    def _depths(self, rows: Index, columns: Index) -> Float32:
+        depths: Float32 = self.xyz[rows, columns, 2]
+        return depths
 
     def take(self, index: Index | Bool) -> "Cloud":
         """Return selected points as an unorganised cloud.
@@ -168,6 +187,13 @@ class DepthCloud(Cloud):
         assert self.image is not None  # noqa: S101  a copy has its points
         return self.image.points()
 
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return super()._shape if self.image is None else self.image.shape
+
+    def _depths(self, rows: Index, columns: Index) -> Float32:
+        return super()._depths(rows, columns) if self.image is None else self.image.depths(rows, columns)
+
     def _summary(self) -> tuple[str, dict[str, str]]:
         if self.image is None or "xyz" in vars(self):
             return super()._summary()
@@ -199,9 +225,9 @@ def _as_float32(xyz: Any) -> Float32:
 
 
 def _check_header(frame_id: object, stamp_ns: object) -> None:
-    if type(frame_id) is not str and not isinstance(frame_id, str):
+    if not isinstance(frame_id, str):
         raise CloudError(f"frame_id: {quoted(frame_id)} is not a text")
-    if not isinstance(stamp_ns, int | np.integer) or not -(2**63) <= stamp_ns < 2**63:
+    if not isinstance(stamp_ns, (int, np.integer)) or not -(2**63) <= stamp_ns < 2**63:
         raise CloudError(f"stamp_ns: {quoted(stamp_ns)} is not a whole number of nanoseconds")
 
 

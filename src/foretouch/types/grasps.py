@@ -12,7 +12,7 @@ from foretouch.errors import ForetouchError, GraspError, shown
 from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain
 from foretouch.types.channels import NO_CHANNELS
 from foretouch.types.rotations import are_absent, check_rotation, quaternion_xyzw, require_rotations
-from foretouch.types.summary import Summarised, names_of, spread
+from foretouch.types.summary import Summarised, names_of, spread, tallied
 from foretouch.types.tables import LabelledTable, Tabular, Variable, labels_of, texts
 
 TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
@@ -37,6 +37,8 @@ class WayIn(Summarised):
     posture: Float64  # (J,) float64 [rad], angles of `joints`
     joints: tuple[str, ...] = ()  # names of J joints
     hand: str = ""  # its description: a name of the package, or the path of a YAML file
+    # Upper bound of the object's width between the contacts, which holds for 95 % [m]: open at least so far
+    width_at_most_m: float = math.nan
 
     def moved(self, pose: Float64) -> Self:
         """Return the same way in another frame, in which `pose` (4, 4) is the frame of this one."""
@@ -66,6 +68,7 @@ class Grasp(Summarised):
     id: str = ""  # unique within a session
     object_id: str = ""  # the object for which it was planned
     way: WayIn | None = None  # how the hand comes to it; None for a grasp that was not planned for a hand
+    flags: tuple[str, ...] = ()  # what speaks against it, such as `beside_unseen`
 
     def __post_init__(self) -> None:
         for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
@@ -83,7 +86,7 @@ class Grasp(Summarised):
         facts += [] if math.isnan(self.score) else [f"score {self.score:.3g}"]
         facts += [] if self.rotation.any() else ["rotation not given"]
         facts += [f"on object {shown(self.object_id, 20)!r}"] if self.object_id else []
-        return ", ".join([*facts, *([] if self.way is None else [shown(self.way.hand, 20)])]), {}
+        return ", ".join([*facts, *([] if self.way is None else [shown(self.way.hand, 20)]), *self.flags]), {}
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON, as `foretouch grasp --json` prints it.
@@ -97,12 +100,14 @@ class Grasp(Summarised):
             "rotation": self.rotation.reshape(9) if self.rotation.any() else None,
             "score": self.score,
             "width_m": self.width_m,
+            "flags": list(self.flags),
         }
         if (way := self.way) is not None:
             record |= {
                 "hand": way.hand,
                 "approach": way.approach,
                 "depth_m": way.depth_m,
+                "width_at_most_m": way.width_at_most_m,
                 "approaches": way.approaches,
                 "thumb_at": way.thumb_at,
                 "pose_of_hand": {
@@ -180,6 +185,9 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
     id: Objects = column(default="", dtype=object)  # (K,) texts, unique within a session
     object_id: Objects = column(default="", dtype=object)  # (K,) texts, the objects for which they were planned
     way: Objects = column(default=None, dtype=object)  # (K,) `WayIn` or None: how the hand comes to each
+    flags: Objects = column(
+        default=(), dtype=object
+    )  # (K,) tuples of texts: what speaks against each, such as `beside_unseen`
     status: str = "ok"  # of the plan: `ok`, `initial_points` or `no_grasp`
     reason: str = ""  # explanation of the status
 
@@ -196,6 +204,7 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
             "score": spread(self.score),
             "rotation": f"not given for {absent}, computed on an object" if absent else "",
             "hand": names_of(list(dict.fromkeys(way.hand for way in self.way if way is not None))),
+            "flags": tallied(flag for own in self.flags for flag in own),
         }
 
     def to_dict(self) -> dict[str, Any]:
@@ -216,6 +225,7 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
         if any(way is not None for way in self.way):
             variables["approach"] = Variable(("grasp", "axis"), self.approach)
             variables["depth_m"] = Variable(("grasp",), self.depth_m, "m")
+            variables["width_at_most_m"] = Variable(("grasp",), self.width_at_most_m, "m")
         return LabelledTable(variables, labels_of(NO_CHANNELS))
 
     @classmethod
@@ -295,6 +305,11 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
     def depth_m(self) -> Float64:
         """(K,) float64 [m], how far the object reaches from the line towards the palm; NaN for a grasp without a way in."""
         return self._of_ways("depth_m", np.array(np.nan))
+
+    @property
+    def width_at_most_m(self) -> Float64:
+        """(K,) float64 [m], upper bounds of the objects' widths between the contacts, which hold for 95 %; NaN for a grasp without a way in."""
+        return self._of_ways("width_at_most_m", np.array(np.nan))
 
     @property
     def pose_of_hand(self) -> Float64:

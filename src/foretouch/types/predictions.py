@@ -36,6 +36,10 @@ class Touch(Summarised):
     channels: Channels  # what they are
 
     def __post_init__(self) -> None:
+        if not isinstance(self.channels, Channels):
+            raise TactileError(
+                f"channels: {type(self.channels).__name__} is not Channels, such as model.sensor.channels"
+            )
         values = numbers(self.values, "touch", TactileError)
         if values.shape != (self.channels.size,):
             raise TactileError(f"touch: shape {values.shape} is not ({self.channels.size},) of {self.channels.sensor}")

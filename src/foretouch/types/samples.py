@@ -3,11 +3,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import NoneType
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from foretouch.errors import DatasetError, shown
+from foretouch.errors import DatasetError, none_of, shown
 from foretouch.types.arrays import AnyArray, Float32, Int64, UInt8, plain
 from foretouch.types.cloud import NO_CLOUD, Cloud
 from foretouch.types.grasps import NO_GRASP, Grasp
@@ -20,6 +21,8 @@ HOLD: Final = 2
 
 DISCARDED: Final = "discarded"
 """Flag of a sample that the operator discarded: it stays in the recording, and builds and exports leave it out."""
+
+_LATEST_NS: Final = 2**63  # where stamps end
 
 Outcome = Literal["unknown", "success", "failure"]
 
@@ -48,6 +51,17 @@ class TouchSeries(Summarised):
             shape = (length, *array.shape[1:2]) if name == "counts" else (length,)
             if array.shape != shape or array.ndim != 1 + (name == "counts"):
                 raise DatasetError(f"series.{name}: shape {array.shape} is not {shape}")
+
+
+_STAMPS: Final = ("stamp_ns", "contact_ns", "pairing_error_ns")
+_TYPES: Final[dict[str, tuple[Any, str]]] = {
+    **dict.fromkeys(("id", "object", "note", "detector", "outcome"), (str, "a text")),
+    **dict.fromkeys(("touch", "tare"), ((Touch, NoneType), "a Touch")),
+    "series": ((TouchSeries, NoneType), "a TouchSeries"),
+    "stamp_ns": ((int, np.integer), "a whole number of nanoseconds"),
+    **dict.fromkeys(_STAMPS[1:], ((int, np.integer, NoneType), "a whole number of nanoseconds")),
+}
+"""Types of fields, and what they are in words; the cloud may not have been read yet."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -79,6 +93,15 @@ class Sample(Summarised):
     flags: tuple[str, ...] = ()  # such as `arrival_stamped`
 
     def __post_init__(self) -> None:
+        values = vars(self)
+        for name, (kinds, what) in _TYPES.items():
+            if not isinstance(values[name], kinds):
+                raise DatasetError(f"{name}: {shown(values[name])} is not {what}")
+        for name in _STAMPS:
+            if not -_LATEST_NS < (values[name] or 0) < _LATEST_NS:
+                raise DatasetError(f"{name}: {shown(values[name])} is no time [ns]")
+        if self.outcome not in OUTCOMES:
+            raise DatasetError(f"outcome: {none_of(self.outcome, OUTCOMES)}")
         if self.series is not None and self.touch is not None:
             shape = (len(self.series.stamps_ns), self.touch.channels.size)
             if self.series.counts.shape != shape:

@@ -73,6 +73,8 @@ class Object(Summarised):
     image_shape: tuple[int, int] | None = None  # (H, W) of that image; None for a list
     flags: tuple[str, ...] = ()  # of its predictions: `ambiguous_target` if other objects fit the rule as well
     obstacles: Obstacles | None = None  # all objects of the scene, if there are several
+    image: Cloud | None = None  # the organised cloud that it was cut from, with the pixels around it; None if not known
+    confidence: float | None = None  # probability that it is one whole object; None where it is not known, as of a mask
     background: str = ""  # why it is no object, one of `cloud.segmentation.background.REASONS`; "" for an object
 
     def __post_init__(self) -> None:
@@ -86,6 +88,7 @@ class Object(Summarised):
     def _summary(self) -> tuple[str, dict[str, str]]:
         size = " x ".join(f"{side:.2f}" for side in (self.bounds[1] - self.bounds[0]).tolist())
         facts = [f"{shown(self.id, 30)!r}: {counted(self.n_points, 'point')}, {size} m, {self.distance_m:.2f} m away"]
+        facts += [] if self.confidence is None else [f"whole with probability {self.confidence:.2f}"]
         return ", ".join([*facts, *([self.background] if self.background else []), *self.flags]), {}
 
     @classmethod
@@ -200,7 +203,7 @@ class Scene(Summarised):
         """
         try:
             position = np.asarray(point, np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             position = np.empty(0)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise CloudError(f"point: {shown(point)} is not three finite numbers [m]")

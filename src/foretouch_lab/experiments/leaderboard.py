@@ -20,6 +20,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.models.own import GROUP, find_predictor
@@ -35,7 +37,14 @@ from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.experiments.shared.tables import SIGNS, grouped, pivot, select, short, unique, with_notes
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.folds import SPLITS
-from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
+from foretouch_lab.learning.evaluation.metrics import (
+    MEAN,
+    BootstrapConfig,
+    ObjectErrors,
+    ScoreEstimate,
+    compare,
+    skills,
+)
 from foretouch_lab.learning.training.compare import FIRST_TOUCHES, Evaluation
 from foretouch_lab.learning.training.run_config import load_run_config
 from foretouch_lab.learning.training.scoring import score_models
@@ -144,11 +153,11 @@ def _model(name: str) -> Any:
     """Return what a name stands for: a recipe, the model of a folder or card, or a predictor (`find_predictor`)."""
     if ":" in name:
         return find_predictor(name)
-    if Path(name).exists():
-        return load_model(name)
     try:
         load_run_config(name)
     except ConfigError as err:
+        if Path(name).exists():
+            return load_model(name)
         if name in entry_points(group=GROUP).names:
             return find_predictor(name)
         rule = f"nor one of {', '.join(PREDICTORS)}, nor a model folder or module:attribute"
@@ -179,7 +188,7 @@ def _tabulate(settings: LeaderboardSettings, rows: Sequence[Row]) -> list[Row]:
         known = [name for name in settings.baselines if name in errors]
         best = max(known, key=lambda name: estimates[name][MEAN].value) if known else None
         for name, of_one in whole.items():
-            versus = None if best in {None, name} else compare(errors[name], errors[str(best)], settings.bootstrap)
+            versus = None if best in {None, name} else _versus(errors[name], errors[str(best)], settings.bootstrap)
             first = of_one[0]
             head = {"split": split, "predictor": name, "note": first["note"], "hash": first["hash"]}
             head |= {
@@ -199,6 +208,11 @@ def _tabulate(settings: LeaderboardSettings, rows: Sequence[Row]) -> list[Row]:
                     **{key: _mean(scored, key) for key in ("coverage90", "interval_score")},
                 })  # fmt: skip
     return result
+
+
+def _versus(errors: ObjectErrors, other: ObjectErrors, bootstrap: BootstrapConfig) -> dict[str, ScoreEstimate] | None:
+    """Compare with another predictor; None if grasps that a model was trained on were left out for one of them."""
+    return compare(errors, other, bootstrap) if np.array_equal(errors.counts, other.counts) else None
 
 
 def _mean(rows: Sequence[Row], key: str) -> float | None:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import scipy.io
 import yaml
+from counted_work import calls_at_most
+from every_case import every_case
 from numpy.testing import assert_array_equal
 from PIL import Image
 
@@ -17,8 +19,8 @@ from foretouch.cli.main import main
 from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.files import read_cloud
 from foretouch.dataset.source import open_source
-from foretouch.errors import FileError
-from foretouch.types import Cloud
+from foretouch.errors import CloudError, FileError
+from foretouch.types import CameraModel, Cloud
 
 K = (60.0, 61.0, 31.5, 23.5)
 MATRIX = [[60.0, 0.0, 31.5], [0.0, 61.0, 23.5], [0.0, 0.0, 1.0]]
@@ -236,3 +238,164 @@ def test_commands_take_depth_files_by_options(tmp_path: Path, depth: Any, capsys
         with pytest.raises(SystemExit) as caught:
             main(["segment", path, *by_numbers, "--depth-scale", wrong])
         assert caught.value.code == 2
+
+
+OPENCV = """%YAML:1.0
+---
+image_width: 64
+image_height: 48
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 60., 0., 31.5, 0., 61., 23.5, 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ 1.0000000000000001e-01, -0.05, 1.0e-03, 0.002, 0.01 ]
+"""
+
+
+def test_cameras_of_opencv_are_read_with_and_without_its_first_line(tmp_path: Path, depth: Any) -> None:
+    expected = Cloud.from_depth(depth, K, distortion=DISTORTION).xyz
+
+    def check(text: str) -> None:
+        (tmp_path / "camera.yml").write_text(text)
+        found = read_cloud(_image(tmp_path / "a.png", depth), DepthCamera(info=tmp_path / "camera.yml"))
+        assert_array_equal(found.xyz, expected)
+
+    older = OPENCV.replace("camera_matrix", "Camera_Matrix").replace("distortion_c", "Distortion_C")
+    every_case(
+        {"opencv": OPENCV, "plain": OPENCV.partition("\n")[2], "older": older, "windows": OPENCV.replace("\n", "\r\n")},
+        check,
+    )
+    for text, name, rule in (
+        (OPENCV + "fisheye_model: 1\n", "camera.yml", "distortion_model 'fisheye' cannot be undone"),
+        (
+            "<opencv_storage></opencv_storage>",
+            "camera.xml",
+            "is XML, as of OpenCV, .*: write it as .yaml, or give --intrinsics",
+        ),
+    ):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(FileError, match=rule):
+            read_cloud(tmp_path / "a.png", DepthCamera(info=tmp_path / name))
+
+
+def _info_text(**changes: Any) -> str:
+    facts = {"width": 64, "height": 48, "k": np.ravel(MATRIX).tolist(), "d": [0.0] * 5, "distortion_model": "plumb_bob"}
+    p = np.insert(np.ravel(MATRIX), [3, 6, 9], 0.0).tolist()
+    facts |= {
+        "p": p,
+        "binning_x": 0,
+        "binning_y": 0,
+        "roi": dict.fromkeys(("x_offset", "y_offset", "width", "height"), 0),
+    }
+    return yaml.safe_dump(facts | changes)
+
+
+def test_a_camera_file_of_ros_counts_as_its_message_with_binning_region_and_rectified_images(
+    tmp_path: Path, depth: Any
+) -> None:
+    """The messages of the same numbers are read by `camera_model`, which `test_depth_messages.py` compares with others."""
+    file, image = tmp_path / "info.yaml", _image(tmp_path / "depth.png", depth)
+    double = [*(2 * np.ravel(MATRIX)).tolist()[:8], 1.0]
+    region = {"x_offset": 40, "y_offset": 30, "width": 64, "height": 48}
+    other_p = [70.0, 0.0, 31.0, 0.0, 0.0, 71.0, 23.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    rectified = Cloud.from_depth(depth, (70.0, 71.0, 31.0, 23.0)).xyz
+    bent = Cloud.from_depth(depth, K, distortion=DISTORTION).xyz
+    cases = {
+        "binning": (_info_text(width=128, height=96, k=double, p=[0.0] * 12, binning_x=2, binning_y=2), {}, Cloud.from_depth(depth, K).xyz),
+        "region": (_info_text(width=200, height=120, roi=region, p=[0.0] * 12), {}, Cloud.from_depth(depth, CameraModel(64, 48, 60.0, 61.0, -8.5, -6.5)).xyz),
+        "rectified": (_info_text(p=other_p, d=DISTORTION), {"rectified": True}, rectified),
+        "raw": (_info_text(p=other_p, d=DISTORTION), {"rectified": False}, bent),
+        "P is K": (_info_text(d=DISTORTION), {}, bent),
+    }  # fmt: skip
+
+    def check(text: str, options: dict[str, Any], expected: Any) -> None:
+        file.write_text(text)
+        assert_array_equal(read_cloud(image, DepthCamera(info=file, **options)).xyz, expected)
+
+    every_case(cases, check)
+    file.write_text(cases["raw"][0])
+    with pytest.raises(
+        FileError,
+        match=r"depth.png: camera: fx is 60 px of raw images .K., 70 px of rectified ones .P.: give --rectified",
+    ):
+        read_cloud(image, DepthCamera(info=file))
+    for name, expected in (("image_rect_raw.png", rectified), ("image_raw.png", bent)):
+        assert_array_equal(read_cloud(_image(tmp_path / name, depth), DepthCamera(info=file)).xyz, expected)
+    for model, undone in (
+        ("Brown Conrady", True),
+        ("radtan", True),
+        ("Inverse Brown Conrady", False),
+        ("equidistant", False),
+        ("new", False),
+    ):
+        file.write_text(_info_text(d=DISTORTION, distortion_model=model))
+        if undone:
+            assert_array_equal(read_cloud(image, DepthCamera(info=file)).xyz, bent)
+        else:
+            with pytest.raises(FileError, match=f"distortion_model '{model}' cannot be undone"):
+                read_cloud(image, DepthCamera(info=file))
+
+
+def test_the_scale_of_bop_is_in_millimetres_and_the_number_of_the_image_finds_its_camera(
+    tmp_path: Path, depth: Any
+) -> None:
+    scenes, one = tmp_path / "scene_camera.json", tmp_path / "camera.json"
+    flat = np.ravel(MATRIX).tolist()
+    scenes.write_text(json.dumps({"3": {"cam_K": flat, "depth_scale": 0.1}, "7": {"cam_K": flat, "depth_scale": 1.0}}))
+    one.write_text(
+        json.dumps(
+            dict(zip(("fx", "fy", "cx", "cy"), K, strict=True)) | {"depth_scale": 0.1, "width": 64, "height": 48}
+        )
+    )
+    tenths = Cloud.from_depth(depth * 10, K, scale=1e-4).xyz
+    for image, file, expected in (
+        (_image(tmp_path / "000003.png", depth * 10), scenes, tenths),
+        (_image(tmp_path / "000007.png", depth), scenes, Cloud.from_depth(depth, K).xyz),
+        (tmp_path / "000003.png", one, tenths),
+    ):
+        np.testing.assert_allclose(read_cloud(image, DepthCamera(info=file)).xyz, expected, rtol=1e-6)
+    with pytest.raises(FileError, match="describes 2 images by their numbers, and 000004 is none of them"):
+        read_cloud(_image(tmp_path / "000004.png", depth), DepthCamera(info=scenes))
+    with pytest.raises(FileError, match=r"for millimetres pass scale=0.001 .*; for tenths of them 0.0001 \([\d.]+ m\)"):
+        read_cloud(tmp_path / "000003.png", DepthCamera(intrinsics=K, scale=0.1))
+
+
+def test_absurd_camera_files_are_refused_in_one_line_and_tell_no_content(tmp_path: Path, depth: Any) -> None:
+    image = _image(tmp_path / "a.png", depth)
+    bomb = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+        f"{y}: &{y} [{', '.join([f'*{x}'] * 9)}]\n" for x, y in zip("abcdefgh", "bcdefghi", strict=True)
+    )
+    texts = {
+        "aliases": ("a.yaml", bomb + "K: [60, 60, 31, 23]\n"),
+        "400 digits": ("a.yaml", f"K: [{'9' * 400}, 60, 31, 23]\n"),
+        "400 digits in JSON": ("a.json", f'{{"K": [{"9" * 400}, 60, 31, 23]}}'),
+        "a width of 400 digits": ("a.yaml", f"K: [60, 60, 31, 23]\nwidth: {'9' * 400}\nheight: 3\n"),
+        "infinite": ("a.yaml", "K: [.inf, 60, 31, 23]\n"),
+        "infinite size": ("a.yaml", "K: [60, 60, 31, 23]\nwidth: .inf\nheight: .inf\n"),
+        "infinite unit": ("a.yaml", "K: [60, 60, 31, 23]\ndepth_scale: .inf\n"),
+        "a region of words": ("a.yaml", "K: [60, 60, 31, 23]\nroi: all\n"),
+        "secret": ("a.txt", "root:*:20228:0:99999:7:::"),
+        "secret YAML": ("a.yaml", "root:*:20228:0:99999:7:::"),
+        "deep": ("a.json", "[" * 100_000),
+    }
+
+    def check(name: str, text: str) -> None:
+        (tmp_path / name).write_text(text)
+        with pytest.raises(FileError) as caught, calls_at_most(100_000):
+            read_cloud(image, DepthCamera(info=tmp_path / name))
+        message = str(caught.value)
+        assert name in message
+        assert "\n" not in message
+        assert "20228" not in message
+
+    every_case(texts, check)
+
+
+def test_negative_depth_is_named(depth: Any) -> None:
+    with pytest.raises(CloudError, match=r"depth: is negative wherever it is not 0: .* pass -depth"):
+        Cloud.from_depth(-depth.astype(np.float32) / 1000, K)

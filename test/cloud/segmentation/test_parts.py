@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Objects that touch, in images of solids whose labels are known exactly."""
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from counted_work import calls_at_most
 from kernels.references import split as reference
 from safetensors.numpy import load_file
 
@@ -188,6 +188,9 @@ def test_the_kernel_finds_the_parts_of_its_reference(monkeypatch: pytest.MonkeyP
         assert ((one.labels > 0) == (other.labels > 0)).mean() > 0.9999, name
         least = 0.95 if name == "two balls" else 0.98  # a tiny fragment between two equal balls may be of either
         assert min(_iou(one, other.labels)) > least, name
+        pairs = zip(one.objects, other.objects, strict=True)
+        apart = [abs(a.confidence - b.confidence) for a, b in pairs]
+        assert max(apart, default=0.0) < (0.1 if name == "two balls" else 0.02), (name, apart)
     rules = {rule: sum(our.counts[rule] for our in ours.values()) for rule in SPLIT_COUNTS[2:]}
     assert all(rules.values()), rules
 
@@ -208,9 +211,8 @@ def test_hard_images_give_finite_parts_in_time() -> None:
         ("row", xyz[200:201], None),
         ("500", many, None),
     ):
-        start = time.process_time()
-        found = segment(Cloud(np.ascontiguousarray(image, np.float32)))
-        assert time.process_time() - start < 1.0, name
+        with calls_at_most(200_000):
+            found = segment(Cloud(np.ascontiguousarray(image, np.float32)))
         assert count is None or len(found.objects) == count, name
         assert all(np.isfinite(object_.cloud.xyz).all() for object_ in found.objects)
         used = ("not_finite", "out_of_range", "off_ray", "background", "rejected", "flying", "objects")

@@ -167,7 +167,7 @@ class Split:
 
     def joined(self, part: Array, trees: Array, least: float, counts: list[int]) -> Array:
         """Tiny fragments joined across the border that bends and steps least, then those rated as one object, then small parts."""
-        lines, rated, step = self.lines(part), {}, 0
+        lines, rated, step, accepted = self.lines(part), {}, 0, {}
         groups = {int(k): frozenset([int(k)]) for k in np.unique(part[part > 0])}
         while step < 3:
             cells = {k: np.count_nonzero(part == k) for k in groups}
@@ -194,11 +194,23 @@ class Split:
                 continue
             _, (a, b), border = max(found, key=lambda one: one[0])
             counts[1 if step != 1 else 2 if border else 3] += 1
+            odds = [] if step == 0 else [rated[groups[a], groups[b]]]
+            accepted[a] = min([*odds, *(accepted.pop(k, np.inf) for k in (a, b))])
             groups[a] |= groups.pop(b)
             part = np.where(part == b, a, part)
             lines = [(*(a if k == b else k for k in line[:2]), line[2]) for line in lines]
             lines = [line for line in lines if line[0] != line[1]]
+        refused = {
+            k: max((odds for pair, odds in rated.items() if self.borders(pair, k, groups)), default=-np.inf)
+            for k in groups
+        }
+        self.joins = {k: (refused[k], accepted.get(k, np.inf), np.count_nonzero(part == k)) for k in groups}
         return part
+
+    @staticmethod
+    def borders(pair: tuple[frozenset[int], frozenset[int]], k: int, groups: dict[int, frozenset[int]]) -> bool:
+        """Whether a rated pair is a part and another one, both as they are at last."""
+        return groups[k] in pair and all(side in groups.values() for side in pair)
 
     def features(self, part: Array, a: int, b: int, ends: Array, bends: Array, agree: list[bool]) -> list[float]:
         """What the trees are told of two parts, as `describe` of the kernel."""
@@ -356,12 +368,13 @@ def _odds(trees: Array, row: list[float]) -> float:
     return total
 
 
-def split_window(xyz: Array, window: Any, cell: int, settings: Array, trees: Array) -> tuple[Array, list[int]]:
-    """The parts of a window, their number, those joined for each reason, and the pairs that were rated."""
+def split_window(xyz: Array, window: Any, cell: int, settings: Array, trees: Array) -> tuple[Array, list[int], Array]:
+    """The parts of a window, their number, those joined for each reason, and the pairs that were rated; and the joins of each part."""
     h, w = window.labels.shape
     points = xyz[window.rows : window.rows + h, window.columns : window.columns + w]
     one, counts = Split(points, window.labels.copy(), window.solid, cell, settings), [0] * 5
     parts = one.pixels(one.joined(one.fragments(), trees, settings[3], counts))
-    labels = np.unique(np.append(parts, 0), return_inverse=True)[1][:-1].reshape(h, w).astype(np.int32)
+    names, labels = np.unique(np.append(parts, 0), return_inverse=True)
+    labels = labels[:-1].reshape(h, w).astype(np.int32)
     counts[0] = int(labels.max())
-    return labels, counts
+    return labels, counts, np.array([one.joins.get(k, (np.nan,) * 3) for k in names.tolist()])

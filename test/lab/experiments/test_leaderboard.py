@@ -4,7 +4,9 @@
 import numpy as np
 import pytest
 from experiment_samples import cell_rows, make_collection
+from own_predictors import Memory
 
+from foretouch import fit
 from foretouch.errors import ConfigError
 from foretouch.tactile import MODALITIES
 from foretouch_lab.experiments import find_experiment
@@ -12,7 +14,9 @@ from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.leaderboard import LeaderboardSettings
 from foretouch_lab.experiments.shared.tables import select
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
-from foretouch_lab.learning.evaluation.metrics import MEAN
+from foretouch_lab.learning.evaluation.baselines import object_mean, training_mean
+from foretouch_lab.learning.evaluation.metrics import MEAN, mean_skill
+from foretouch_lab.learning.training.scoring import score_models
 
 QUICK = {"baselines": ["training_mean", "object_mean", "clock"], "bootstrap.draws": 200}
 MINE = "own_predictors:Memory"
@@ -47,6 +51,16 @@ def test_an_own_predictor_is_refitted_in_each_fold_and_stands_beside_every_basel
         errors = {row["modality"]: row["rmse"] for row in own}
         assert errors["PDC_TH"] == pytest.approx(np.sqrt((residuals[:, 0] ** 2).mean()))
         assert errors["E_MF"] == pytest.approx(np.sqrt((residuals[:, 26:] ** 2).mean()))
+
+
+def test_scores_are_shown_in_a_few_lines_and_printed_as_a_table(data: Dataset) -> None:
+    means = {"training_mean": training_mean, "object_mean": object_mean}
+    result = score_models(data, {"mine": Memory()}, ["random", "touches"], baselines=means)
+    best = max(means | {"mine": 0}, key=lambda name: mean_skill(result.scores["random"][name]))
+    assert repr(result).splitlines()[0].startswith("Evaluation(mean skill on made-up)")
+    assert f"best of 3: {best} " in repr(result)
+    assert len(repr(result).splitlines()) == 3
+    assert len([line for line in str(result).splitlines() if line.startswith(("random", "touches"))]) == 6
 
 
 def test_a_significant_difference_is_paired_with_the_best_baseline(table: list[Row]) -> None:
@@ -85,6 +99,18 @@ def test_tables_and_picture_show_all_rows(table: list[Row], tmp_path) -> None:
     assert any(note.startswith(f"{MINE}: ") for note in tables[-1].notes)
     (picture,) = experiment.draw(timed, tmp_path)
     assert picture.stat().st_size > 10_000
+
+
+def test_a_model_folder_is_used_as_it_is_and_its_training_grasps_are_left_out(data: Dataset, tmp_path) -> None:
+    seen = [sample for sample in data.samples if sample.object != "wood"]
+    folder = tmp_path / "mine"
+    fit(seen, "contact-v3", calibrate=False, contact={"trees": 3}).save(folder)
+    rows, settings = cell_rows("leaderboard", data, **QUICK, models=[str(folder)], splits=["random"])
+    table = find_experiment("leaderboard").tabulate(settings, rows)
+    (total,) = select(table, predictor=str(folder), modality=MEAN)
+    assert (total["samples"], total["objects"], len(total["hash"])) == (12, 1, 16)
+    assert "given as it is; 84 samples that it was trained on are left out" in total["note"]
+    assert total["vs_best"] is None  # it was not scored on the same grasps
 
 
 def test_what_cannot_be_a_row_is_refused(data: Dataset) -> None:

@@ -4,10 +4,12 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
+from foretouch.camera.stream import DepthFrame
+from foretouch.cloud.io.depth_messages import decode_depth
 from foretouch.cloud.messages import decode_cloud, decode_objects
 from foretouch.errors import CloudError
-from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
-from foretouch.types import Cloud, Plane, stamp_ns
+from foretouch.ros.messages.clouds import cloud_to_msg, depth_to_msgs, objects_to_msg
+from foretouch.types import CameraModel, Cloud, Plane, stamp_ns
 from foretouch.types.scene import Object
 
 PLANE = Plane.from_coefficients([0, 0, -1, 1.2])
@@ -49,6 +51,18 @@ def test_a_cloud_and_objects_with_their_pixels_are_received_as_they_were_and_rea
         if rgb:
             np.testing.assert_array_equal(one.cloud.rgb, old.cloud.rgb)
         assert one.cloud.stamp_ns == 99
+
+
+def test_a_pixel_without_depth_is_0_in_millimetres_and_nan_in_metres():
+    camera = CameraModel.of((2.0, 2.0, 1.0, 0.5), 3, 2)
+    depth = np.array([[0, 1000, 2500], [0, 1, 65535]], np.uint16)
+    for scale, encoding, expected in (
+        (0.001, "16UC1", depth),
+        (0.0001, "32FC1", [[np.nan, 0.1, 0.25], [np.nan, 0.0001, 6.5535]]),  # REP 118
+    ):
+        message, _ = depth_to_msgs(DepthFrame(depth, scale, camera, "cam", 7))
+        assert (message.encoding, message.step) == (encoding, 3 * (2 if encoding == "16UC1" else 4))
+        np.testing.assert_allclose(decode_depth(message), expected, rtol=1e-6)
 
 
 def test_no_object_is_a_cloud_without_points_a_cloud_of_others_one_object_and_a_strange_label_refused(rng):

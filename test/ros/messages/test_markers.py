@@ -18,6 +18,7 @@ from foretouch.tactile import P2_RANGES, Ranges, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Grasp, Prediction, Touch
+from foretouch.types.scene import Object
 from foretouch_msgs.msg import ObjectArray, TablePlane
 
 BIOTAC_VIEW = TaxelView(packaged_sensor("biotac_sp"))
@@ -127,6 +128,10 @@ def test_boxes_enclose_their_objects(scene_cloud):
     message = ObjectArray(
         header=HEADER, objects=[object_to_msg(one, Placement(HEADER), target=one.id == "1") for one in found]
     )
+    for sent, one in zip(message.objects, found, strict=True):
+        assert sent.confidence == np.float32(one.confidence)
+    received = Object.of("1", found[0].cloud, found[0].plane)
+    assert np.isnan(object_to_msg(received, Placement(HEADER), target=True).confidence)
     outline = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [0.5, 0.5, 1.0]], np.float32)
     table = TablePlane(header=HEADER, outline=outline.ravel())
     markers = by_name(object_markers(message, table))

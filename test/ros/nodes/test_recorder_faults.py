@@ -2,7 +2,6 @@
 """The recorder node while things break around it: cables, clocks, the disk, and the process itself."""
 
 import shutil
-import time
 
 import pytest
 from pair_builders import REST
@@ -58,14 +57,15 @@ def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(gra
     assert [one.grasp.id for one in recorded(tmp_path / "set") if one.touch] == ["before", "after"]
 
 
-def test_a_removed_folder_is_named_within_a_second_and_its_loss_counted(graph, tmp_path, capfd):
+def test_a_removed_folder_is_named_in_one_of_the_next_reports_and_its_loss_counted(graph, tmp_path, capfd):
     node, robot, statuses = start(graph, tmp_path / "set")
     for number in range(2):
         robot.record(f"g-{number}", number)
     shutil.rmtree(tmp_path / "set")
-    began = time.monotonic()
+    before = len(statuses)
     graph.until(lambda: statuses and "was removed during the recording" in statuses[-1].reason)
-    assert (statuses[-1].status, time.monotonic() - began < 1.0) == (Status.FAILED, True)
+    assert statuses[-1].status == Status.FAILED
+    assert len(statuses) <= before + 3  # which come each second
     graph.until(lambda: node.reason)
     messages, file = sum(robot.sent.values()), tmp_path / "set" / "session-0001.mcap"
     assert node.reason == f"{file}: was removed during the recording: 2 samples and {messages} messages are lost"

@@ -64,7 +64,8 @@ def test_beyond_what_it_can_do_the_graph_answers_the_newest_cloud(
     now = node.statistics.summary()
     assert now.received == now.used + now.dropped["superseded"]
     assert set(now.dropped) == {"superseded"}
-    # It was the newest when the answer before was done. Whether a period is long depends on what else runs.
-    answered = np.array([(stamp, arrived) for stamp, arrived in sorted(ages.items()) if stamp > stamps[0] + 1e9]) / 1e9
-    waited = (answered[:, 1] - answered[:, 0])[1:] - (answered[1:, 1] - answered[:-1, 1])
-    assert np.median(waited) <= 1.0 / rate_hz + 0.1, np.percentile(waited, (50, 90))
+    # It was the newest when the answer before was done, but for some that were on their way.
+    answered = np.array([(stamp, arrived) for stamp, arrived in sorted(ages.items()) if stamp > stamps[0] + 1e9])
+    newest = np.searchsorted(stamps, answered[:-1, 1]) - 1
+    behind = newest - np.searchsorted(stamps, answered[1:, 0])
+    assert np.median(behind) <= 7, np.percentile(behind, (50, 90))

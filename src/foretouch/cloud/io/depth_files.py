@@ -318,7 +318,11 @@ def _read_mat(path: Path) -> dict[str, Any]:
 
 
 def _read_text(path: Path) -> dict[str, Any]:
-    return {"K": np.array(read_bytes(path, _MAT_LIMIT).decode().replace(",", " ").split(), np.float64)}
+    words = read_bytes(path, _MAT_LIMIT).decode("utf-8", "replace").replace(",", " ").split()
+    try:
+        return {"K": np.array(words, np.float64)}
+    except ValueError:
+        raise FileError(path, "holds no camera: is not a matrix of numbers") from None  # anyone may name the file
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.images import IMAGE_SUFFIXES, read_image
 from foretouch.cloud.io.point_files import pcd_bytes, ply_bytes, read_pcd, read_ply
 from foretouch.errors import CloudError, FileError
-from foretouch.files import replace_files, system_errors
+from foretouch.files import as_path, replace_files, system_errors
 from foretouch.types import AnyArray, Cloud, Float32
 
 _OPTIONAL: Final = ("rgb", "frame_id", "stamp_ns")
@@ -44,7 +44,7 @@ def read_cloud(path: str | Path, camera: DepthCamera | None = None) -> Cloud:
     Raises:
         FileError: With the file, the field and the rule; also if the file cannot be read or is truncated.
     """
-    path = Path(path)
+    path = as_path(path)
     suffix = path.suffix.lower()
     if suffix not in (*_READERS, ".npz", ".npy", *IMAGE_SUFFIXES):
         raise FileError(path, f"the extension is not one of {', '.join((*CLOUD_SUFFIXES, *IMAGE_SUFFIXES))}")

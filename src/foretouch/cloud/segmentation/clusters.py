@@ -84,6 +84,10 @@ class Clusters(NamedTuple):
     n_labels: int  # the largest label
     rows: int = 0  # first row of the window, 0 if unorganised
     columns: int = 0  # first column of the window, 0 if unorganised
+    # (n_labels + 1, 3) float64 of each part: the highest log odds of a join that was refused, the lowest of those that made it, both
+    # infinite without any, and its cells; None where nothing called for splitting
+    joins: Float64 | None = None
+    pixels_per_cell: float = 0.0  # of the image that may be split; 0 where splitting is not possible
 
     def as_struct(self, xyz: Float32) -> Any:
         """Return the window as the kernels read and write it, in a cloud (H, W, 3) or (N, 3) float32."""

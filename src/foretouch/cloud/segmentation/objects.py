@@ -10,6 +10,7 @@ import numpy as np
 
 from foretouch.cloud.segmentation.background import ENTERS, REASONS
 from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, HeightThreshold
+from foretouch.cloud.segmentation.confidence import confidence
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
@@ -20,6 +21,7 @@ _collect_members = Kernel("collect_members")
 _write = Kernel("write_ids")
 
 AMBIGUOUS_TARGET = "ambiguous_target"  # flag, and start of the reason, where a rule had to choose between equal objects
+CUT = "cut_by_image"  # flag of an object that the border of the image cuts
 
 _SAME_PLACE_M = 0.03  # an object that moves less between two clouds is the same
 _SAME_ANGLE = float(np.radians(1.0))  # objects whose angles to the optical axis differ less are equally central
@@ -76,7 +78,10 @@ def extract_objects(
     for k, (_, number, label, _) in enumerate(standing, 1):
         ids[number][label] = k
     labelled = sum(_write_ids(image, *entry) for entry in zip(windows, ids, strict=True))
-    objects = tuple(replace(object_, id=str(k)) for k, (*_, object_) in enumerate(standing, 1))
+    objects = tuple(
+        replace(object_, id=str(k), confidence=confidence(windows[number], label, object_.n_points))
+        for k, (_, number, label, object_) in enumerate(standing, 1)
+    )
     background = tuple(object_ for *_, object_ in behind)
     used = sum(object_.n_points for object_ in objects)
     counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": labelled - used}
@@ -127,7 +132,7 @@ class TargetConfig(Settings):
 
     mode: TargetMode = setting(
         "nearest",
-        "nearest to the camera, largest in points, the one at a point, the nearest whose best grasp no other object blocks, or all",
+        "nearest to the camera of those that are surest to be whole, largest in points, the one at a point, the nearest whose best grasp no other object blocks, or all",
         choices=get_args(TargetMode),
     )
     point: tuple[float, ...] = setting((), "x, y, z for mode point, in the cloud's frame", unit="m")
@@ -135,6 +140,11 @@ class TargetConfig(Settings):
         NEAR_M, "Maximum distance of the object's nearest point from the point", bounds=(0.0, 1.0)
     )
     margin_m: float = setting(0.005, "Two objects whose distances differ less are ambiguous", bounds=(0.0, 1.0))
+    confidence_margin: float = setting(
+        0.05,
+        "Of mode nearest and free: objects whose confidence is lower than the best one's by more come after the others",
+        bounds=(0.0, 1.0),
+    )
     max_objects: int = setting(16, "Most objects of modes all and free, nearest first", bounds=(1, 10_000))
 
     def __post_init__(self) -> None:
@@ -150,7 +160,7 @@ def select_targets(
 ) -> tuple[list[Object], str]:
     """Select the objects that get grasps.
 
-    Objects within `margin_m` (mode `largest`: within 5 % of the points) of the best are ambiguous, since noise would
+    Mode `nearest` selects among the surest ones (see `surest`). Objects within `margin_m` (mode `largest`: within 5 % of the points) of the best are ambiguous, since noise would
     decide. Of them, the object is selected that is still where the previous target was; else the one at the smallest
     angle to the optical axis; of those within 1 degree of it the leftmost in the image, then the highest, then the first.
 
@@ -174,7 +184,10 @@ def select_targets(
         tied = [obj for obj in objects if obj.n_points > 0.95 * largest or obj.n_points == largest]
         tied.sort(key=lambda obj: -obj.n_points)
         return _one_of(tied, previous, "equally large", [f"{obj.n_points}" for obj in tied], "points")
-    where, distances = "the camera", [obj.distance_m for obj in objects]
+    where = "the camera"
+    if config.mode == "nearest":
+        objects = surest(objects, config, previous)
+    distances = [obj.distance_m for obj in objects]
     if config.mode == "point":
         point = np.asarray(config.point)
         apart = [obj.cloud.xyz.astype(np.float64) - point for obj in objects]
@@ -191,13 +204,29 @@ def select_targets(
     return _one_of(tied, previous, f"equally near to {where}", [f"{distances[i]:.3f}" for i in near], "m")
 
 
+def surest(objects: Sequence[Object], config: TargetConfig, previous: Float64 | None = None) -> list[Object]:
+    """Return the objects that are most probably whole, in the same order.
+
+    Those that the image does not cut, if there are any; of these, those whose confidence is at most `confidence_margin` below the
+    highest one. For the object that is where the previous target was the margin is twice as wide, so that noise does not change the
+    target in a stream. Where a confidence is not known, as of a mask, none is left out for it.
+    """
+    whole = _whole(objects)
+    known = [obj.confidence for obj in whole if obj.confidence is not None]
+    if len(known) < len(whole):
+        return list(whole)
+    least = max(known) - config.confidence_margin
+    before = None if previous is None else _at(whole, previous)
+    return [obj for obj in whole if (obj.confidence or 0.0) >= least - config.confidence_margin * (obj is before)]
+
+
 def select_free(
     objects: Sequence[Object],
     config: TargetConfig,
     loss: Callable[[Object], tuple[float, str]],
     previous: Float64 | None = None,
 ) -> tuple[list[Object], str]:
-    """Select the nearest object whose best grasp is not blocked by another object, for mode `free`.
+    """Select the nearest object whose best grasp is not blocked by another object, for mode `free`: of the surest ones, else of the others.
 
     If there is none, the one that other objects cost least; of several that have no grasp at all, the nearest.
 
@@ -212,7 +241,10 @@ def select_free(
     """
     free: list[Object] = []
     blocked: list[tuple[float, Object, str]] = []
-    for obj in sorted(objects, key=lambda entry: entry.distance_m)[: config.max_objects]:
+    sure = {obj.id for obj in surest(objects, config, previous)}
+    for obj in sorted(objects, key=lambda entry: (entry.id not in sure, entry.distance_m))[: config.max_objects]:
+        if free and (obj.id in sure) != (free[0].id in sure):
+            break
         if free and obj.distance_m - free[0].distance_m >= config.margin_m:
             break
         lost, why = loss(obj)
@@ -228,6 +260,11 @@ def select_free(
     return chosen, "; ".join([tie, *notes] if tie else notes)
 
 
+def _whole(objects: Sequence[Object]) -> Sequence[Object]:
+    """Return the objects that the image does not cut, or all if it cuts each."""
+    return [obj for obj in objects if CUT not in obj.flags] or objects
+
+
 def _one_of(
     tied: Sequence[Object], previous: Float64 | None, how: str, values: Sequence[str], unit: str
 ) -> tuple[list[Object], str]:
@@ -240,11 +277,15 @@ def _one_of(
     return [chosen], f"{AMBIGUOUS_TARGET}: objects {ids} are {how}, {numbers}; object {chosen.id} {why}"
 
 
+def _at(objects: Sequence[Object], place: Float64) -> Object | None:
+    """Return the object whose centroid is at a place (3,); None if there is none."""
+    nearest = min(objects, key=lambda obj: float(np.linalg.norm(obj.centroid - place)))
+    return nearest if np.linalg.norm(nearest.centroid - place) < _SAME_PLACE_M else None
+
+
 def _break_tie(tied: Sequence[Object], previous: Float64 | None) -> tuple[Object, str]:
-    if previous is not None:
-        nearest = min(tied, key=lambda obj: float(np.linalg.norm(obj.centroid - previous)))
-        if np.linalg.norm(nearest.centroid - previous) < _SAME_PLACE_M:
-            return nearest, "was the target before"
+    if previous is not None and (before := _at(tied, previous)) is not None:
+        return before, "was the target before"
     angles = {obj.id: float(np.arctan2(np.hypot(*obj.centroid[:2]), obj.centroid[2])) for obj in tied}
     smallest = min(angles.values())
     central = [obj for obj in tied if angles[obj.id] - smallest < _SAME_ANGLE]

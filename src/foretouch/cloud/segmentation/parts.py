@@ -44,6 +44,7 @@ _CELL_NOISE = 0.9  # side of a cell by the noise of the threshold, which is 2.5 
 _CELL_PER_M = 0.0035  # and at least, per depth² [1/m]: a table may be smoother than what stands on it
 _UNKNOWN_CELL_PER_M = 0.0075  # the same where a table without noise says nothing about the camera
 _NO_NOISE = 1e-4  # of the threshold, per depth² [1/m]
+_JOINS = 3  # columns of `Clusters.joins`
 _LIST_CELL_M = 0.005  # of a list of points at least: those of several views do not agree exactly
 _STEP_M = 0.01  # a step in depth by more than this may separate two objects
 _MIN_PART_M = 0.03  # parts smaller than a square of this side belong to the part next to them
@@ -113,12 +114,12 @@ def split_clusters(
     side = pitch * depth  # of a pixel [m]
     arm, touching = max(1, round(_ARM_M / side)), np.empty(2, np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
+    cell = _cell_of(threshold.noise_per_m, config.cell_m, depth, side)
     _concave(window.as_struct(xyz), stride, arm, _SAG_M, threshold.noise_per_m, touching)
     if touching.max() < _FEW:
-        return list(windows), counts
+        return [window._replace(pixels_per_cell=float(cell**2)) for window in windows], counts
     if write is not None and len(windows) > 1:
         write(window.rows, window.rows + h, window.columns, window.columns + w)
-    cell = _cell_of(threshold.noise_per_m, config.cell_m, depth, side)
     settings = [
         np.radians(config.angle_deg),
         _STEP_M,
@@ -127,16 +128,16 @@ def split_clusters(
         *threshold.plane.coefficients,
         pitch * cell,
     ]
-    labels, (parts, *joined, _) = split_window(xyz, window, cell, np.array(settings))
+    labels, (parts, *joined, _), joins = split_window(xyz, window, cell, np.array(settings))
     clusters = np.zeros(window.n_labels + 1, np.bool_)
     clusters[window.labels[window.solid]] = True  # in a fifth of the time of a bincount of all pixels
     counts = dict(zip(counts, (int(np.count_nonzero(clusters)), parts, *joined), strict=True))
-    return [Clusters(labels, window.solid & (labels > 0), parts, window.rows, window.columns)], counts
+    return [Clusters(labels, window.solid & (labels > 0), parts, window.rows, window.columns, joins)], counts
 
 
 def split_window(
     xyz: Float32, window: Clusters, cell: int, settings: Float64, rows: Float64 = _NO_ROWS
-) -> tuple[Int32, list[int]]:
+) -> tuple[Int32, list[int], Float64]:
     """Split the clusters of a window.
 
     Args:
@@ -147,7 +148,8 @@ def split_window(
         rows: (n, 64) float64, written: the pixels of both fragments in whole cells, and the input of the trees, of the first pairs that are rated.
 
     Returns:
-        The parts (h, w) int32, and the number of parts, those that were joined for each reason, and the pairs that were rated.
+        The parts (h, w) int32; the number of parts, those that were joined for each reason, and the pairs that were rated; and
+        the joins of each part (see `Clusters`).
 
     Raises:
         MemoryError: If there is not enough memory.
@@ -155,10 +157,11 @@ def split_window(
     labels, nodes, counts = window.labels.copy(), _trees(), np.empty(len(SPLIT_COUNTS), np.int64)
     depth = (nodes.shape[1] // 3 + 1).bit_length() - 1
     trees = struct("Trees", nodes=nodes, count=len(nodes), depth=depth, rows=rows, room=len(rows))
-    _split(window._replace(labels=labels).as_struct(xyz), cell, settings, trees, counts)
+    joins = np.empty((-(-labels.shape[0] // cell) * -(-labels.shape[1] // cell) + 1, _JOINS))
+    _split(window._replace(labels=labels).as_struct(xyz), cell, settings, trees, counts, joins)
     if counts[0] < 0:
         raise MemoryError("split_clusters")
-    return labels, counts.tolist()
+    return labels, counts.tolist(), joins[: counts[0] + 1]
 
 
 def _depth_of(depths: Float32, window: Clusters, reasons: Int64) -> float | None:
@@ -201,7 +204,8 @@ def split_list(
     whole = Clusters(labels, labels > 0, windows[0].n_labels)
     split, counts = split_clusters(image, [whole], threshold, pitch, wide, np.zeros(whole.n_labels + 1, np.int64))
     if not counts["parts"]:
-        return list(windows), counts
+        per_cell = split[0].pixels_per_cell * len(points) / np.count_nonzero(shown >= 0)
+        return [windows[0]._replace(pixels_per_cell=per_cell)], counts
     parts, front = split[0].labels[tuple(at.T)], shown[tuple(at.T)]
     hidden = (np.abs(points[:, 2] - points[front, 2]) > _STEP_M) | (clusters != clusters[front]) | (parts == 0)
     if hidden.any():
@@ -210,7 +214,7 @@ def split_list(
         parts[hidden] = parts[~hidden][cKDTree(points[~hidden]).query(points[hidden])[1]]
     every = np.zeros((1, len(xyz)), np.int32)
     every[0, rows] = parts
-    return [Clusters(every, every > 0, split[0].n_labels)], counts
+    return [Clusters(every, every > 0, split[0].n_labels, joins=split[0].joins)], counts
 
 
 def _filled_pixels(place: Float32) -> tuple[float, Int64]:

@@ -3,7 +3,7 @@
 
 The plane with most points is the table, unless the image speaks against it:
 
-- A table is solid. A plane through a rim and a rail, or through a pile, has points below it in the middle of its outline: they were
+- A table is solid. A plane through a rim and a rail has points below it amid its own: they were
   seen through it.
 - The top of a box has most points below it and carries nothing.
 - The floor of a bin has things that rise from it on all sides; its walls end at the rim or at the image.
@@ -28,7 +28,10 @@ _ABOVE_M, _PARALLEL = 0.1, math.cos(math.radians(15.0))  # a table stands above 
 _WIDE_M = 0.6 / math.sqrt(12.0)  # standard deviation of points along .6 m, which no object exceeds
 _MOST_PLANES = 6
 _BELOW_M = 0.03  # deeper than the noise of a table
-_THROUGH = 0.15  # of the points on a plane, within its outline below it: 0.05 at most on tables, 0.2 and more on others
+_THROUGH = 0.25  # of the points on a plane are below it amid them: 0.05 at most of tables, 0.7 and more of rims
+_AMID = 7  # of 8 sectors of the image around such a point have points of the plane, so that it is not between a table and a chair
+_STRAY = 0.01  # of these, fewer in a sector are others'
+_SOME = 160  # points that are looked at
 _BARE = 0.003  # of the points on a plane, fewer stand on it: nothing does
 _DOMINANT = 0.4  # of all points are on no wall of a bin whose floor is in view
 _WALLED = 0.4  # of the directions, things rise beyond a wall of a bin in half of them
@@ -63,15 +66,23 @@ class _View:
         """Return (N,) which points are seen within the outline of the plane."""
         return np.asarray((_directed(xyz) <= self.ends).all(axis=0) & (xyz[:, 2] > 0.0), np.bool_)
 
+    @cached_property
+    def seen_through(self) -> float:
+        """How many points below it are amid its points in the image, by their number; 0 where several cameras saw them."""
+        if not self.one_view or np.count_nonzero(self.below) <= _THROUGH * self.count:
+            return 0.0
+        below = self.xyz[self.below]
+        below = below[self.within(below)]
+        some, on = (_rays(xyz[:: max(1, len(xyz) // _SOME)]) for xyz in (below, self.xyz[self.on]))
+        turn = np.arctan2(*np.moveaxis(on - some[:, None], -1, 0))
+        sector = np.floor(turn * (4.0 / math.pi)).astype(np.intp) % 8 + 8 * np.arange(len(some))[:, None]
+        sides = np.bincount(sector.ravel(), minlength=8 * len(some)).reshape(-1, 8) > _STRAY * len(on)
+        return float(np.mean(sides.sum(axis=1) >= _AMID)) * len(below) / self.count if len(some) else 0.0
+
     @property
     def is_seen_through(self) -> bool:
-        """Whether many points below it are within its outline."""
-        least = _THROUGH * self.count
-        return bool(
-            self.one_view
-            and np.count_nonzero(self.below) > least
-            and np.count_nonzero(self.within(self.xyz[self.below])) > least
-        )
+        """Whether so many points are below it, amid its points, that it is not solid."""
+        return self.seen_through > _THROUGH
 
     @property
     def is_bare_top(self) -> bool:
@@ -161,8 +172,8 @@ def _why_doubtful(view: _View, config: PlaneConfig) -> str:
     """Return why not to trust a plane, and what to set; "" for a table."""
     cure = "set segmentation.plane.table to point, with plane.point on the table, or to given, with plane.coefficients"
     if view.is_seen_through:
-        below = np.count_nonzero(view.within(view.xyz[view.below])) / view.count
-        return f"the largest plane is no table: within its outline {below:.0%} as many points are below it as on it; {cure}"
+        what = f"amid its points {view.seen_through:.0%} as many are below it as on it"
+        return f"the largest plane is no table: {what}; {cure}"
     if view.noise_m > config.max_noise_m:
         what = f"the points of the table deviate from a plane by up to {view.noise_m * 1e3:.0f} mm"
         return f"{what}, more than {config.max_noise_m * 1e3:g} mm (segmentation.plane.max_noise_m): lower objects are not seen; raise it, or {cure}"
@@ -207,5 +218,10 @@ def _near_points(xyz: Float32, plane: Plane, config: PlaneConfig) -> Float32:
 
 def _directed(xyz: Float32) -> Float32:
     """Return (16, N) how far points are off the optical axis in each direction of the image, at a depth of 1."""
+    return np.asarray(_SIDES @ _rays(xyz).T, np.float32)
+
+
+def _rays(xyz: Float32) -> Float32:
+    """Return (N, 2) where the camera sees points, at a depth of 1."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return np.asarray(_SIDES @ (xyz[:, :2] / xyz[:, 2:]).T, np.float32)
+        return xyz[:, :2] / xyz[:, 2:]

@@ -21,7 +21,6 @@ import re
 import struct
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -33,7 +32,7 @@ from foretouch.cloud.messages import cloud_fields, decode_cloud, header_fields
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, types_in
 from foretouch.dataset.files import require_version
 from foretouch.dataset.identity import Identity, check_id
-from foretouch.errors import DatasetError, ForetouchError, VersionError, described
+from foretouch.errors import DatasetError, ForetouchError, VersionError, described, shown
 from foretouch.files import TEXT_LIMIT, parse_json, read_bytes
 from foretouch.grasp.messages import decode_grasp, grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
@@ -71,8 +70,17 @@ class StoredSample(NamedTuple):
 
 def encode_sample(sample: Sample, identity: Identity, sensor: Sensor | None = None) -> bytes:
     """Return a record as the CDR of a `SAMPLE_TYPE` with encapsulation header (see `sample_fields`)."""
-    message = sample_fields(sample, identity, sensor or BIOTAC_SP)
-    body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
+    try:
+        message = sample_fields(sample, identity, sensor or BIOTAC_SP)
+        body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
+    except UnicodeEncodeError as err:
+        raise DatasetError(
+            f"{sample.id}: {shown(err.object)} holds half of a surrogate pair, which is no text"
+        ) from err
+    except (TypeError, AttributeError, ValueError, OverflowError, struct.error) as err:
+        raise DatasetError(
+            f"{shown(sample.id)}: a field is of another type than `Sample` states: {described(err)}"
+        ) from err
     return body + hashlib.sha256(body).digest()
 
 
@@ -241,7 +249,7 @@ def _properties_text(facts: Mapping[str, str]) -> str:
 
 def _grasp_of(message: Any, score: float) -> Grasp:
     """Return the grasp in a decoded `foretouch_msgs/Grasp`, whose rotation is taken as it is."""
-    return replace(decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3)), score=score)
+    return decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3), score)
 
 
 @functools.lru_cache(maxsize=16)

@@ -2,6 +2,7 @@
 """Depth images, clouds and objects to messages."""
 
 import array
+import math
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, Final
@@ -18,14 +19,20 @@ from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.ros.messages.placement import Placement
 from foretouch.types import AnyArray, Cloud, Float64
 from foretouch.types.camera import MODELS
+from foretouch.types.cloud import DepthCloud
 from foretouch.types.scene import Object, Scene
 from foretouch_msgs.msg import Object as ObjectMsg
 
 _MILLIMETRE: Final = 1e-3  # [m], the unit of 16UC1
 _LARGEST_LABEL: Final = 65535  # of 16UC1
-_BRIGHTEST: Final = 230.0  # of the nearest pixel
+_SHADES: Final = np.interp(  # brightness by depth [mm]
+    np.log(np.maximum(np.arange(_LARGEST_LABEL + 1), 1)), np.log([250.0, 4000.0]), (230.0, 30.0)
+).astype(np.uint8)
+_SHADES[0] = 0  # no depth
+_TARGET: Final = np.int32(180)  # share of the colour of an object over the image, of 255
+_OTHER: Final = np.int32(90)
 _OBJECT_RGB: Final = np.array(  # by id
-    [(255, 128, 0), (0, 166, 214), (230, 0, 126), (122, 184, 0), (143, 79, 209), (217, 179, 0), (0, 168, 143)]
+    [(255, 128, 0), (0, 166, 214), (230, 0, 126), (122, 184, 0), (143, 79, 209), (217, 179, 0), (0, 168, 143)], np.int32
 )
 
 
@@ -89,18 +96,28 @@ def labels_to_msg(scene: Scene, header: Header) -> Image:
 
 def overlay_to_msg(scene: Scene, header: Header) -> Image:
     """Draw the objects over the image, rgb8: targets in full colour, others paler; by its colours, or the brighter the nearer."""
-    depth, labels = np.atleast_2d(scene.cloud.xyz[..., 2]), np.atleast_2d(scene.labels)
+    labels = np.atleast_2d(scene.labels)
+    drawn = np.empty((*labels.shape, 3), np.uint8)
     if scene.cloud.rgb is not None:
-        drawn = scene.cloud.rgb.reshape(*depth.shape, 3).copy()
+        drawn[...] = scene.cloud.rgb.reshape(drawn.shape)
     else:
-        near = np.nanmin(depth, initial=np.inf)
-        grey = np.nan_to_num(_BRIGHTEST * near / depth, nan=0.0, posinf=0.0, neginf=0.0).astype(np.uint8)
-        drawn = np.repeat(grey[..., None], 3, axis=2)
-    pixels, flat = np.flatnonzero(labels), drawn.reshape(-1, 3)
+        grey = _SHADES.take(_millimetres(scene.cloud)).reshape(labels.shape)
+        for channel in range(3):
+            drawn[..., channel] = grey
+    pixels, flat = np.flatnonzero(labels > 0), drawn.reshape(-1, 3)
     ids = labels.reshape(-1)[pixels]
-    shares = np.where(np.isin(ids, [int(target.id) for target in scene.targets]), 0.7, 0.35)[:, None]
-    flat[pixels] = (1.0 - shares) * flat[pixels] + shares * _OBJECT_RGB[ids % len(_OBJECT_RGB)]
+    shares = np.where(np.isin(ids, [int(target.id) for target in scene.targets]), _TARGET, _OTHER)[:, None]
+    flat[pixels] = ((255 - shares) * flat[pixels] + shares * _OBJECT_RGB[ids % len(_OBJECT_RGB)]) // 255
     return _image(header, drawn, "rgb8")
+
+
+def _millimetres(cloud: Cloud) -> AnyArray:
+    """Return the depth of all points, uint16; 0 without, and beyond 65 m."""
+    image = cloud.image if isinstance(cloud, DepthCloud) else None
+    if image is not None and (received := image.millimetres) is not None:
+        return received
+    depth = cloud.xyz[..., 2]
+    return np.where((depth > 0.0) & (depth < _LARGEST_LABEL * _MILLIMETRE), depth / _MILLIMETRE, 0.0).astype(np.uint16)
 
 
 def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -> PointCloud2:
@@ -131,6 +148,7 @@ def object_to_msg(object_: Object, placement: Placement, *, target: bool) -> Obj
         minimum=point_to_msg(low),
         maximum=point_to_msg(high),
         target=target,
+        confidence=math.nan if object_.confidence is None else object_.confidence,
         indices=array.array("I", object_.pixels.astype(np.uint32).tobytes()),
     )
 
@@ -149,7 +167,8 @@ def detections_to_msg(objects: Sequence[Object], placement: Placement, kinds: Mo
         x, y, z = map(float, high - low)
         centre = Pose(position=point_to_msg((low + high) / 2.0))
         result = kinds.ObjectHypothesisWithPose()
-        result.hypothesis.class_id, result.hypothesis.score = "object", 1.0
+        result.hypothesis.class_id = "object"
+        result.hypothesis.score = 1.0 if object_.confidence is None else object_.confidence
         result.pose.pose = Pose(position=point_to_msg(placement.points(object_.centroid)))
         box = kinds.BoundingBox3D(center=centre, size=Vector3(x=x, y=y, z=z))
         detections.append(kinds.Detection3D(header=placement.header, results=[result], bbox=box, id=object_.id))

@@ -14,8 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.config import setting
@@ -60,7 +61,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         self._channels_context = foxglove.Context()
         definitions = Definitions()
         others = {"objects": ObjectArray, "markers": MarkerArray, "recorder_status": RecorderStatus}
-        others |= {"/diagnostics": DiagnosticArray}
+        others |= {"/diagnostics": DiagnosticArray, "grasp_poses": PoseArray, "labels": Image, "overlay": Image}
         topics = sample_topics(self.config, points=True)
         topics += [RecordedTopic(topic, kind) for topic, kind in others.items()]
         for topic in topics:

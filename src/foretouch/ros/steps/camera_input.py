@@ -23,6 +23,8 @@ from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
 from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.types import Cloud, stamp_ns
+from foretouch.types.camera import DepthImage
+from foretouch.types.cloud import DepthCloud
 from foretouch_msgs.msg import Status
 
 _IMAGE_TOPIC: Final = "depth/image"
@@ -84,7 +86,8 @@ class CameraInput(Step):
                 return decode_cloud(message)
             depth = decode_depth(message)
             camera = self._camera(frame, depth.shape)
-            return Cloud.from_depth(depth, camera, frame_id=frame, stamp_ns=stamp_ns(message.header.stamp))
+            image = DepthImage(depth, camera, copy=False)  # a view of the message, which nobody changes any more
+            return DepthCloud.of(image, None, frame, stamp_ns(message.header.stamp))
         except CalibrationError as err:
             raise RefusalError(Status.BAD_CLOUD, f"{err.reason}: {err}") from err
         except CloudError as err:

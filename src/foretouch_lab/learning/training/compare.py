@@ -13,11 +13,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.errors import shown
 from foretouch.models.calibration import Calibration
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import Ranges
 from foretouch.types import Bool, Float64, Index, Sample
 from foretouch.types.channels import Channels
+from foretouch.types.summary import Summarised
 from foretouch_lab.learning.data import make_folds
 from foretouch_lab.learning.data.folds import Fold, HoldOut, predict_folds
 from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, predict_part, training_mean
@@ -41,8 +43,8 @@ FIRST_TOUCHES: Final = "touches"
 _FIRST: Final = 3  # grasps on an object
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation(Summarised):
     """Scores of models and baselines on the same held-out samples.
 
     Attributes:
@@ -79,7 +81,14 @@ class Evaluation:
         )
         return "\n".join([title, *lines, *self.notes])
 
-    __repr__ = __str__
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        """Return for each split the predictor with the highest mean skill; `print` shows all of them."""
+        best = {}
+        for split, table in self.scores.items():
+            skills = {who: mean_skill(scores) for who, scores in table.items()}
+            who = max(skills, key=lambda name: skills[name])
+            best[split] = f"best of {len(skills)}: {who} {skills[who]:+.3f}, {self.samples[split]} samples"
+        return f"mean skill on {shown(self.data, 40)}", best
 
 
 def _record(split: str, who: str, scores: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values of any type in any argument of the library: an answer, or one line of its own errors, and never an error of Python."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from every_case import every_case
+from recording_builders import record
+
+import foretouch as ft
+
+VALUES: dict[str, Any] = {
+    "10^400": 10**400, "text": "x", "None": None, "half a pair": "half \ud800", "complex": 1j, "NaN": float("nan"), "list": [],
+    "object": object(), "array": np.zeros((2, 2)), "negative": -1, "bytes": b"x", "complex numbers": [1j] * 3,
+    "large numbers": [10**400] * 3, "matrix of large": [[10**400] * 3] * 3, "Nones": [None] * 3, "fraction": 1.5, "dict": {},
+}  # fmt: skip
+DEPTH = np.full((120, 160), 0.9, np.float32)
+CAMERA = (150.0, 150.0, 79.5, 59.5)
+
+
+@pytest.fixture(scope="module")
+def calls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Callable[[Any], object]]:
+    """A call for each argument, by name."""
+    folder, count = tmp_path_factory.mktemp("calls"), iter(range(10**6))
+    depth = DEPTH.copy()
+    depth[50:70, 70:90] = 0.85
+    cloud = ft.Cloud.from_depth(depth, CAMERA)
+    scene, model, sample = ft.segment(cloud), ft.load_model(), record()
+    target, grasp, touch = scene.objects[0], sample.grasp, sample.touch
+    points = np.zeros((4, 3), np.float32)
+
+    def write(one: Any, **options: Any) -> object:
+        return ft.write(folder / f"{next(count)}", [one], **options)
+
+    ft.write(folder / "ds", [sample, record(1)])
+    samples = ft.open(folder / "ds")
+    rows = {name: np.ones((9, 1 if name[0] == "P" else 24)) for name in model.sensor.channels.modalities}
+    arrays = {"object": "a", "id": "b", "values": rows, "rate_hz": 100.0}
+    tare = ft.History(model).tare
+    return {
+        **{f"Cloud.{name}": lambda v, name=name: ft.Cloud(**{"xyz": points, name: v}) for name in ("xyz", "rgb", "frame_id", "stamp_ns", "camera")},
+        **{f"from_depth.{name}": lambda v, name=name: ft.Cloud.from_depth(**{"depth": depth, "K": CAMERA, name: v}) for name in ("depth", "K", "scale", "distortion", "rgb", "frame_id", "stamp_ns")},
+        "segment": ft.segment, "mask": lambda v: ft.segment(cloud, mask=v), "plan": ft.plan, "count": lambda v: ft.plan(target, count=v),
+        "near": scene.near, "plane": ft.Plane.from_coefficients,
+        **{f"Grasp.{name}": lambda v, name=name: ft.Grasp(**{"g1": [0, 0, 1], "g2": [0, 1, 1], "rotation": np.eye(3), name: v}) for name in ("g1", "g2", "rotation")},
+        **{f"Grasps.{name}": lambda v, name=name: ft.Grasps(**{"g1": [[0, 0, 1]], "g2": [[0, 1, 1]], "rotation": [np.eye(3)], name: v}) for name in ("g1", "g2", "rotation", "score")},
+        "Touch": lambda v: ft.Touch(v, touch.channels), "channels": lambda v: ft.Touch(touch.values, v), "tare": tare,
+        "tare.stamp_ns": lambda v: tare(touch, stamp_ns=v), "tare.tdc": lambda v: tare(touch, stamp_ns=1, tdc=v),
+        "predict.grasps": lambda v: model.predict(target, v), "predict.table": lambda v: model.predict(cloud, [grasp], table=v),
+        "predict.history": lambda v: model.predict(target, [grasp], history=v), "History": ft.History,
+        "History.hand": lambda v: ft.History(model).save(folder / "hand", v), "open": ft.open, "load_model": ft.load_model,
+        "read_cloud": ft.read_cloud, "History.load": lambda v: ft.History.load(v, model), "load.model": lambda v: ft.History.load(folder / "x", v),
+        "write.samples": lambda v: ft.write(folder / f"{next(count)}", v), "write.sample": write, "write.sensor": lambda v: write(sample, sensor=v),
+        "write.missing": lambda v: write(arrays, missing=v), "write.hand": lambda v: write(sample, hand=v),
+        "write.hand.name": lambda v: write(sample, hand={"name": v}), "write.min_free_mb": lambda v: write(sample, min_free_mb=v),
+        **{f"Sample.{name}": lambda v, name=name: write(replace(sample, **{name: v})) for name in ("id", "object", "cloud", "grasp", "touch", "tare", "stamp_ns", "extra", "candidates", "outcome", "note", "series", "contact_ns", "detector", "pairing_error_ns", "flags")},
+        "Sample.flag": lambda v: write(replace(sample, flags=(v,))), "Sample.number": lambda v: write(replace(sample, extra={"a": v})),
+        **{f"arrays.{name}": lambda v, name=name: write(arrays | {name: v}) for name in ("id", "object", "cloud", "grasp", "tare", "rate_hz", "start_s", "rest", "others", "outcome", "note", "values")},
+        **{f"arrays.{name}": lambda v, name=name: write(arrays | {"rate_hz": None, name: v}) for name in ("stamps_ns", "stamps_s")},
+        **{f"arrays.{name}.PDC_TH": lambda v, name=name: write(arrays | {name: {"PDC_TH": v}}) for name in ("tare", "others", "values")},
+        "subset": samples.subset, "subset of one": lambda v: samples.subset([v]), "filter": samples.filter,
+    }  # fmt: skip
+
+
+def check(_: str, call: Callable[[Any], object], value: Any) -> None:
+    """Call a function; its own errors are of one line."""
+    with suppress(ft.ForetouchError):
+        call(value)
+
+
+WRITES = ("write", "Sample", "arrays")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_no_value_raises_an_error_of_python(
+    calls: dict[str, Callable[[Any], object]], tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    quick = {name: call for name, call in calls.items() if not name.startswith(WRITES)}
+    every_case(
+        [(f"{name}: {kind}", call, value) for name, call in quick.items() for kind, value in VALUES.items()], check
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_no_value_that_is_written_raises_an_error_of_python(
+    calls: dict[str, Callable[[Any], object]], tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    writes = {name: call for name, call in calls.items() if name.startswith(WRITES)}
+    every_case(
+        [(f"{name}: {kind}", call, value) for name, call in writes.items() for kind, value in VALUES.items()], check
+    )
