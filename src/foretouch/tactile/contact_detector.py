@@ -57,6 +57,7 @@ class SeriesContact(NamedTuple):
     end: int  # number of the first reading after it
     several: bool  # whether there are more, of which it is the longest
     drifted: bool  # whether the finger drifted out of its rest before, so that its reference had to follow
+    early: bool  # whether it began within the readings at rest
 
 
 class FingerContact:
@@ -225,9 +226,10 @@ def _contact_of(stamps_ns: Int64, values: Float64, rest: int, channels: Channels
         if begin == len(values) or stamps_ns[begin] - onset_ns >= SETTLE_NS:
             found.append((onset, begin))
     if not found:
-        return SeriesContact(None, 0, several=False, drifted=drifted)
+        return SeriesContact(None, 0, several=False, drifted=drifted, early=False)
     onset, end = max(found, key=lambda pair: int(stamps_ns[pair[1] - 1] - stamps_ns[pair[0]]))
-    return SeriesContact(onset, end, several=len(found) > 1, drifted=drifted)
+    early = onset == rest and bool(score[rest - 1] > 1.0)
+    return SeriesContact(onset, end, several=len(found) > 1, drifted=drifted, early=early)
 
 
 def _first_run(true: Bool, begin: int) -> int:
