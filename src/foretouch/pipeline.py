@@ -24,6 +24,7 @@ from foretouch.config import Settings, flattened, setting
 from foretouch.errors import CloudError, ConfigError, shown
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, plan_grasps, with_rotations
 from foretouch.grasp.reach import ReachConfig, check_reach
+from foretouch.grasp.unseen import DepthAround
 from foretouch.models import History, TouchModel, load_model
 from foretouch.models.registry import MODEL_WORDS, PREDICTOR_WORDS
 from foretouch.types import Cloud, Float64, Grasp, Grasps, Plane, Predictions, Touch
@@ -150,7 +151,8 @@ class Pipeline(Summarised):
             return scene
         solid = [part for part in scene.background if part.background != "floating"]
         obstacles = Obstacles.of([(int(object_.id), object_.cloud.xyz) for object_ in (*scene.objects, *solid)])
-        objects = tuple(replace(object_, obstacles=obstacles) for object_ in scene.objects)
+        image = scene.cloud if scene.cloud.organised else None
+        objects = tuple(replace(object_, obstacles=obstacles, image=image) for object_ in scene.objects)
         rule = self.config.target
         if rule.mode == "free" and objects:
             chosen, reason = select_free(objects, rule, self._loss, previous)
@@ -212,6 +214,7 @@ class Pipeline(Summarised):
             hold=hold,
             hand=self.config.hand,
             obstacles=None if target.obstacles is None else target.obstacles.without(target),
+            around=DepthAround.of(target) if self.config.grasp.method == "completed" else None,
         )
         return replace(plan, grasps=plan.grasps.replace(object_id=target.id))
 

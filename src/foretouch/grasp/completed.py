@@ -11,12 +11,13 @@ front of the object's middle and above it, and two fingers that close there slid
 3. refuses lines that the hand cannot execute: wider than it opens, too low for a fingertip, or with another object in the
    way of a finger that comes from outside along the line;
 4. prefers lines that are short, near the object's centre of mass (of the completed object, with equal density), meet
-   both sides at a right angle, run across the view, where both sides are seen, and do not end where the camera sees through.
+   both sides at a right angle, run across the view, where both sides are seen, and end neither where the camera sees through nor
+   beside pixels without depth (`foretouch.grasp.unseen`).
 
 Every measure is a quantile or a mean, so that it changes little when the cloud changes little.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -30,8 +31,9 @@ from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
 from foretouch.grasp.hand import UNLIMITED_M
 from foretouch.grasp.hold import APART_M
 from foretouch.grasp.pose import cross
+from foretouch.grasp.unseen import DepthAround
 from foretouch.kernels import Kernel, struct
-from foretouch.types import Bool, Float32, Float64, Grasp, Int64, Plane, WayIn
+from foretouch.types import Bool, Float32, Float64, Grasp, Index, Int64, Plane, WayIn
 from foretouch.types.grasps import TILTS
 from foretouch.types.scene import Obstacles
 
@@ -58,6 +60,8 @@ _ACROSS = 0.3  # cost of a line along the view, whose far side is not seen
 _WIDTH_M = 0.1  # from one side to the other
 _HOLLOW = 3.0  # cost of a line whose ends the camera sees through
 _WIDE = 3.0  # cost of a line as wide as the hand opens, so that noise does not decide what is just about refused
+_UNSEEN, _UNSEEN_M = 3.0, 0.01  # cost of a line that ends beside pixels without depth, by so much or more
+_TRIED = 8  # best lines that are looked at first, then twice as many at a time, until none of them ends there
 _DEEP, _DEEPER_M = 3.0, 0.01  # cost of a line whose object is deeper than the hand, by so much or more
 _RAISED_M = 0.1  # of a line over the height at which it would be best held
 _BIAS = 10.0  # [1/m] of one side of the centre over the other, which decides where both are alike
@@ -221,6 +225,33 @@ class CompletedObject:
         if counts["n_blocked"]:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
         return ClosingLines(low, high, height, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts, lost)
+
+    def beside_unseen(self, lines: ClosingLines, around: DepthAround) -> ClosingLines:
+        """Return lines with what it costs to end beside pixels without depth: the best ones, and as many as that makes the best.
+
+        Args:
+            lines: The lines of the object.
+            around: The depth image around it.
+        """
+        order = np.argsort(lines.cost, axis=None, kind="stable")[: lines.counts["n_free"]]
+        more, size = np.zeros(lines.cost.shape), _TRIED
+        while len(order):
+            chosen, order, size = order[:size], order[size:], 2 * size
+            beyond = around.beside(*self._low_and_high(lines, chosen))
+            if not beyond.any():
+                break
+            more.flat[chosen] = _UNSEEN * smoothstep(beyond, 0.0, _UNSEEN_M)
+        return replace(lines, cost=lines.cost + more) if more.any() else lines
+
+    def _low_and_high(self, lines: ClosingLines, chosen: Index) -> tuple[Float64, Float64]:
+        """Return (K, 3) lower and upper ends of the lines with these flat indices, camera frame [m]."""
+        angle, line = np.divmod(chosen, _LINES)
+        c, s = np.cos(_ANGLE[angle])[:, None], np.sin(_ANGLE[angle])[:, None]
+        ahead, left, up = self._basis
+        low, high, height = (values.flat[chosen][:, None] for values in (lines.low, lines.high, lines.height))
+        middle = self._foot + _OFFSET[line][:, None] * (c * left - s * ahead) + height * up
+        along = c * ahead + s * left
+        return middle + low * along, middle + high * along
 
     def _refused(self, measured: Float64) -> dict[str, Bool]:
         """Return which lines (8, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""

@@ -36,7 +36,9 @@ from foretouch.grasp.hold import APART_M, HeldGrasp, keep_held
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
+from foretouch.grasp.unseen import BESIDE_UNSEEN, DepthAround
 from foretouch.types import NO_GRASPS, Cloud, Float32, Float64, Grasp, Grasps, Integer, Plane
+from foretouch.types.arrays import objects
 from foretouch.types.scene import Obstacles
 from foretouch.types.summary import Summarised
 
@@ -81,6 +83,7 @@ class PlanOptions(TypedDict, total=False):
     hold: float  # in units of the score; by default 0
     hand: HandConfig  # what the hand can execute; method "completed" only
     obstacles: Obstacles | None  # what stands around the object; method "completed" only
+    around: DepthAround | None  # the depth image around the object; method "completed" only
 
 
 def plan_grasps(cloud: Cloud, plane: Plane, config: GeoGraspConfig, **options: Unpack[PlanOptions]) -> GraspPlan:
@@ -208,9 +211,12 @@ def _plan_completed(
             plan.slide_m = _random_slide(kept, plan.centroid, axis, config.slide_fraction, rng)
     with timed(plan.ms, "completion"):
         completed = CompletedObject(weighted, spacing, plane, hand, obstacles, plan.slide_m * axis)
+        around = options.get("around")
         counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
-        lines = completed.lines()
+        lines = free = completed.lines()
+        if around is not None:
+            lines = completed.beside_unseen(free, around)
         counts |= lines.counts
         plan.lost, plan.blocked_by = lines.lost, blocking_objects(lines, obstacles)
     with timed(plan.ms, "ranking"):
@@ -226,6 +232,8 @@ def _plan_completed(
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             grasps, plan.outdone = keep_held(held, held_score, plan.grasps, options.get("hold", 0.0))
             plan.grasps = grasps[: config.count]
+        if around is not None and (lines is not free or len(plan.grasps) > 1 or held is not None):
+            plan.grasps = _flagged(plan.grasps, around)
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
         plan.status, plan.reason = "ok", f"the best of {counts['n_free']} possible grasps ({counts['n_lines']} tried)"
@@ -234,3 +242,11 @@ def _plan_completed(
             plan.reason += f"; {len(plan.grasps)} grasps instead of {config.count}: {near}"
     else:
         plan.reason = why_no_line(lines, hand, obstacles)
+
+
+def _flagged(grasps: Grasps, around: DepthAround) -> Grasps:
+    """Return grasps with the flag of those with a contact beside pixels without depth."""
+    if not grasps:
+        return grasps
+    beside = around.beside(grasps.g1, grasps.g2) > 0.0
+    return grasps.replace(flags=objects([(BESIDE_UNSEEN,) if flag else () for flag in beside.tolist()]))

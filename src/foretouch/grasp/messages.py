@@ -96,7 +96,8 @@ def decode_grasp(message: Any, rotation: Float64 | None = None, score: float | N
     g1, g2 = (np.array([p.x, p.y, p.z], np.float64) for p in (message.g1, message.g2))
     rotation = _rotation_of(message) if rotation is None else rotation
     score = float(message.score) if score is None else score
-    return Grasp(g1, g2, rotation, score, message.id, message.object_id, _way_of(message))
+    flags = tuple(getattr(message, "flags", ()))  # which messages before 0.5 lack
+    return Grasp(g1, g2, rotation, score, message.id, message.object_id, _way_of(message), flags)
 
 
 def _way_of(message: Any) -> WayIn | None:

@@ -18,7 +18,7 @@ enum { HOLE, TABLE, UNDER, OVER };             /* kinds of cells */
 #define CONTACT 20   /* and a part of whose outline, or cells, fewer than one of as many are at the table floats */
 #define ABROAD 50    /* what hovers above the table comes from out of view if one of as many edges around it is at the border, and high */
 #define MOSTLY 0.37  /* share of the outline at the border of the image, from which on too little of a part is seen */
-#define FALLS 0.5f   /* height at the border by the largest, of a part that may stand on the table beyond */
+#define FALLS 0.67f   /* height at the border by the largest, of a part that may stand on the table beyond */
 #define FURTHER 0.3f /* of the width of the view: so far goes a table on that is cut off by the image */
 #define CLOSE 0.02f  /* difference in depth of cells that are connected [m] */
 #define MANY 30      /* cells of a wall */

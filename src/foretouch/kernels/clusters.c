@@ -36,7 +36,7 @@ enum {
 #define MIN_SUPPORT 4
 #define MIN_STRAIGHT 3
 #define WINDOW 5 /* cells of a side of a window in which the noise is measured, */
-#define APART 3  /* and from one window to the next */
+#define APART 6  /* and from one window to the next */
 #define SMALL 8 /* times the least number of nodes: of a set that is connected across larger steps */
 
 INLINE float height_of(const float *p, const double *s) {

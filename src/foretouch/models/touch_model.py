@@ -183,7 +183,7 @@ class TouchModel(Summarised):
             names the strongest reading that it was adapted to: touches of the object, tare, history or none. Flags:
             `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or
             grasp is out of the training distribution, with a reason from `UNFAMILIAR`, `similar_touches` where the places of earlier touches took part,
-            `off_object` where a contact is in the air, `assumed_table` without a table, and `equal_pressure` where
+            those of the grasps, such as `beside_unseen`, `off_object` where a contact is in the air, `assumed_table` without a table, and `equal_pressure` where
             grasps of the call cannot be ranked by pressure.
 
         Raises:
@@ -224,6 +224,8 @@ class TouchModel(Summarised):
             predictions = refused.put(usable, predictions)
         for flag in flags:
             predictions = predictions.flagged(flag)
+        for flag in dict.fromkeys(flag for own in columns.flags for flag in own):
+            predictions = predictions.flagged(flag, np.array([flag in own for own in columns.flags]))
         return flag_equal_pressures(predictions, self)
 
     def _predict(

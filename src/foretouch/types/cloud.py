@@ -120,6 +120,22 @@ class Cloud(Summarised):
         points = self.xyz.reshape(-1, 3)
         return points[np.isfinite(points).all(axis=1)]
 
+    def depths(self, rows: Index, columns: Index) -> Float32:
+        """Return the depths of pixels (...) of an organised cloud [m]; NaN where there is none, and infinity out of view."""
+        height, width = self._shape
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        depths = self._depths(np.where(inside, rows, 0), np.where(inside, columns, 0))
+        depths[~inside] = np.inf
+        return depths
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return self.xyz.shape[:-1]
+
+    def _depths(self, rows: Index, columns: Index) -> Float32:
+        depths: Float32 = self.xyz[rows, columns, 2]
+        return depths
+
     def take(self, index: Index | Bool) -> "Cloud":
         """Return selected points as an unorganised cloud.
 
@@ -170,6 +186,13 @@ class DepthCloud(Cloud):
         """(H, W, 3) float32 [m]."""
         assert self.image is not None  # noqa: S101  a copy has its points
         return self.image.points()
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return super()._shape if self.image is None else self.image.shape
+
+    def _depths(self, rows: Index, columns: Index) -> Float32:
+        return super()._depths(rows, columns) if self.image is None else self.image.depths(rows, columns)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         if self.image is None or "xyz" in vars(self):

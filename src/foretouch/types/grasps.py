@@ -12,7 +12,7 @@ from foretouch.errors import ForetouchError, GraspError, shown
 from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain
 from foretouch.types.channels import NO_CHANNELS
 from foretouch.types.rotations import are_absent, check_rotation, quaternion_xyzw, require_rotations
-from foretouch.types.summary import Summarised, names_of, spread
+from foretouch.types.summary import Summarised, names_of, spread, tallied
 from foretouch.types.tables import LabelledTable, Tabular, Variable, labels_of, texts
 
 TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
@@ -66,6 +66,7 @@ class Grasp(Summarised):
     id: str = ""  # unique within a session
     object_id: str = ""  # the object for which it was planned
     way: WayIn | None = None  # how the hand comes to it; None for a grasp that was not planned for a hand
+    flags: tuple[str, ...] = ()  # what speaks against it, such as `beside_unseen`
 
     def __post_init__(self) -> None:
         for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
@@ -83,7 +84,7 @@ class Grasp(Summarised):
         facts += [] if math.isnan(self.score) else [f"score {self.score:.3g}"]
         facts += [] if self.rotation.any() else ["rotation not given"]
         facts += [f"on object {shown(self.object_id, 20)!r}"] if self.object_id else []
-        return ", ".join([*facts, *([] if self.way is None else [shown(self.way.hand, 20)])]), {}
+        return ", ".join([*facts, *([] if self.way is None else [shown(self.way.hand, 20)]), *self.flags]), {}
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON, as `foretouch grasp --json` prints it.
@@ -97,6 +98,7 @@ class Grasp(Summarised):
             "rotation": self.rotation.reshape(9) if self.rotation.any() else None,
             "score": self.score,
             "width_m": self.width_m,
+            "flags": list(self.flags),
         }
         if (way := self.way) is not None:
             record |= {
@@ -180,6 +182,9 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
     id: Objects = column(default="", dtype=object)  # (K,) texts, unique within a session
     object_id: Objects = column(default="", dtype=object)  # (K,) texts, the objects for which they were planned
     way: Objects = column(default=None, dtype=object)  # (K,) `WayIn` or None: how the hand comes to each
+    flags: Objects = column(
+        default=(), dtype=object
+    )  # (K,) tuples of texts: what speaks against each, such as `beside_unseen`
     status: str = "ok"  # of the plan: `ok`, `initial_points` or `no_grasp`
     reason: str = ""  # explanation of the status
 
@@ -196,6 +201,7 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
             "score": spread(self.score),
             "rotation": f"not given for {absent}, computed on an object" if absent else "",
             "hand": names_of(list(dict.fromkeys(way.hand for way in self.way if way is not None))),
+            "flags": tallied(flag for own in self.flags for flag in own),
         }
 
     def to_dict(self) -> dict[str, Any]:

@@ -73,6 +73,7 @@ class Object(Summarised):
     image_shape: tuple[int, int] | None = None  # (H, W) of that image; None for a list
     flags: tuple[str, ...] = ()  # of its predictions: `ambiguous_target` if other objects fit the rule as well
     obstacles: Obstacles | None = None  # all objects of the scene, if there are several
+    image: Cloud | None = None  # the organised cloud that it was cut from, with the pixels around it; None if not known
     confidence: float | None = None  # probability that it is one whole object; None where it is not known, as of a mask
     background: str = ""  # why it is no object, one of `cloud.segmentation.background.REASONS`; "" for an object
 

@@ -40,6 +40,7 @@ CLOSE_SLOPE = (
 )
 MAX_SLOPE = 20.0  # and where one of them belongs to a small cluster: a sliver of a face seen at 87 degrees
 FLYING_SLOPE = 4.0  # beyond which a neighbour does not support a pixel; unsupported pixels are flying
+_APART = 6  # cells of the coarse grid from one window of noise to the next, as in `clusters.c`
 _VOXEL_M = np.float32(0.008)  # edge of the voxels that connect unorganised points
 
 
@@ -205,7 +206,7 @@ def local_noise(grid: CoarseGrid, crop: CropConfig) -> float:
         0 without a window in range.
     """
     h, w = grid.points.shape[:2]
-    residuals, count = np.empty((h // 3 + 1) * (w // 3 + 1)), np.empty(1, np.int64)
+    residuals, count = np.empty((h // _APART + 1) * (w // _APART + 1)), np.empty(1, np.int64)
     _residuals(grid.points, h, w, crop.min_range_m, crop.max_range_m, residuals, count)
     if not (found := int(count[0])):
         return 0.0

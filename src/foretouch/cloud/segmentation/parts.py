@@ -40,7 +40,7 @@ _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
 _LEAST_PITCH, _PER_PIXEL = 0.001, 2.5  # pixels of a list: the smallest per depth, and points in each that is not empty
 _STRIDE, _STRIDE_M = 4, 0.007  # between the points that are looked at: pixels, at most, and distance
-_CELL_NOISE = 0.9  # side of a cell by the noise of the threshold, which is 2.5 standard deviations
+_CELL_NOISE = 0.9  # side of a cell by LOCAL_FACTOR times the noise of small windows
 _CELL_PER_M = 0.0035  # and at least, per depth² [1/m]: a table may be smoother than what stands on it
 _UNKNOWN_CELL_PER_M = 0.0075  # the same where a table without noise says nothing about the camera
 _NO_NOISE = 1e-4  # of the threshold, per depth² [1/m]
@@ -63,7 +63,7 @@ class SplitConfig(Settings):
     )
     cell_m: float = setting(
         0.003,
-        "Least side of the squares over which the surface is averaged; where the depth is noisier, they are larger: 2.25 standard deviations of its noise",
+        "Least side of the squares over which the surface is averaged; where the depth is noisier, they are larger: 3.6 times its noise in small windows",
         bounds=(0.002, 0.02),
     )
     same_object: float = setting(

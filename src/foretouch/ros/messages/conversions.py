@@ -128,6 +128,7 @@ def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> Gra
         status=status,
         reason=reason,
         width_m=grasp.width_m,
+        flags=list(grasp.flags),
         **_way_fields(grasp.way),
     )
 
