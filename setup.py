@@ -28,14 +28,15 @@ class BuildKernels(build_ext):
 ASKED_ONLY = "--dry-run" in sys.argv
 REQUIRED_PYTHON = {} if ASKED_ONLY else {"python_requires": ">=3.11"}
 
-if find_spec("cffi") is None and not ASKED_ONLY:  # setuptools would warn, and leave the kernels out
+KERNELS = {"cffi_modules": ["src/foretouch/kernels/build.py:builder"]} if find_spec("cffi") else {}
+if not KERNELS and not ASKED_ONLY:  # setuptools would warn, and leave the kernels out
     raise SystemExit(
         "foretouch: cffi, which compiles its C kernels, is not installed: pip install cffi (or apt install python3-cffi), then repeat"
     )
 
 setup(
     **REQUIRED_PYTHON,
-    cffi_modules=["src/foretouch/kernels/build.py:builder"],
+    **KERNELS,
     cmdclass={"build_ext": BuildKernels},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/foretouch"]),

@@ -19,7 +19,11 @@ SHARE = FindPackageShare("foretouch")
 _NODE = ("namespace", "params_file", "use_sim_time", "respawn")  # what every node takes
 _ARGUMENTS = {  # default and description
     "namespace": ("/foretouch", "Namespace of all nodes"),
-    "model": ("default", "Name of a model, or path of its card, weights or model folder"),
+    "model": (
+        "default",
+        "Name of a model, or path of its card, weights or model folder; networks are joined by commas",
+    ),
+    "predictor": ("", "Predictor of a model of your own: module:attribute, or an entry point of foretouch.models"),
     "params_file": ("", "ROS parameter file (YAML) for any of the nodes"),
     "use_sim_time": ("false", "Whether the time is that of /clock, as with a simulator or a bag that is played"),
     "respawn": ("false", "Whether a node that ends is started again after 2 s; else the launch ends with it"),
@@ -60,10 +64,11 @@ def _check_arguments(context: LaunchContext) -> None:
 def _check_model(name: str) -> None:
     try:
         from foretouch.models.card import read_card
-        from foretouch.models.registry import find_card
+        from foretouch.models.registry import find_cards
     except ImportError:  # what the nodes need may be in an environment of their own
         return
-    read_card(find_card(name))
+    for path in find_cards(name):
+        read_card(path)
 
 
 def end_with_node(event: Any, context: LaunchContext) -> Shutdown:

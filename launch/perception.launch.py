@@ -54,7 +54,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def perception(context: LaunchContext) -> list[Node]:
-    given = argument_values(context, "depth", "points", "model", "input")
+    given = argument_values(context, "depth", "points", "model", "predictor", "input")
     kind = given["input"] or ("points" if given["points"] else "depth")
     remapped = [
         (name, given[topic]) for name, topic in (("depth/image", "depth"), ("points", "points")) if given[topic]
@@ -66,6 +66,7 @@ def perception(context: LaunchContext) -> list[Node]:
             remappings=remapped,
             ros_arguments=[
                 *(["-p", f"model:={given['model']}"] if name in MODEL_USERS else []),
+                *(["-p", f"predictor:={given['predictor']}"] if name in MODEL_USERS and given["predictor"] else []),
                 *(["-p", f"input:={kind}"] if name in CAMERA_USERS else []),
             ],
         )

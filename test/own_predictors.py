@@ -78,3 +78,16 @@ class Bad(Constant):
 class NoTable:
     def estimate(self, cloud, grasps):
         return np.tile(MEAN, (len(grasps), 1))
+
+
+class Widths:
+    """Returns the mean of the ten grasps with the nearest width."""
+
+    def fit(self, samples):
+        self.width = np.array([sample.grasp.width_m for sample in samples])
+        self.touch = np.array([sample.touch.values for sample in samples])
+
+    def estimate(self, cloud, grasps, table=None):
+        width = np.linalg.norm(grasps.g1 - grasps.g2, axis=1)
+        near = abs(width[:, None] - self.width).argsort(axis=1)[:, :10]
+        return self.touch[near].mean(axis=1)

@@ -8,6 +8,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from calibrated_models import make_tracked_calibration
 from contact_model_builders import small_estimator
@@ -17,12 +18,15 @@ from recording_builders import write_dataset
 from run_builders import quiet, run_config, stop_after, write_store
 
 from foretouch.cli.main import main
+from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.formats import FORMATS
 from foretouch.errors import FileError
 from foretouch.models.history_keeper import HistoryFile
 from foretouch.models.touch_model import History, TouchModel
+from foretouch.types import Cloud
 from foretouch_lab.learning.data import load_dataset
 from foretouch_lab.learning.training.run import train_run
+from foretouch_lab.simulation.depth_scene import random_scene
 
 SIZE = 1 << 20
 CARD = {"name": "small", "sha256": "0" * 64}
@@ -113,3 +117,17 @@ def test_an_export_or_a_build_that_does_not_fit_leaves_nothing(disk: Path, tmp_p
         assert list(disk.iterdir()) == []
 
     every_case(commands, check)
+
+
+def test_labels_and_clouds_that_do_not_fit_leave_nothing_or_the_file_before(disk: Path, tmp_path: Path, capsys) -> None:
+    image = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=2).render()
+    write_cloud(tmp_path / "scene.npz", image.cloud())
+    labels, before = disk / "labels.npy", disk / "before.npz"
+    write_cloud(before, Cloud(np.ones((4, 3), np.float32)))
+    kept, _ = before.read_bytes(), fill(disk, 40_000)
+    assert main(["segment", str(tmp_path / "scene.npz"), "--labels-out", str(labels)]) == 1
+    assert "labels.npy: cannot be written, the one before is kept: No space left" in capsys.readouterr().err
+    with pytest.raises(FileError, match=r"before\.npz: cannot be written"):
+        write_cloud(before, image.cloud())
+    assert before.read_bytes() == kept
+    assert {path.name for path in disk.iterdir()} == {"ballast", "before.npz"}

@@ -221,6 +221,22 @@ def test_the_constraints_are_within_the_ranges_and_complete() -> None:
     assert pins.keys() <= {one.name for one in every}
 
 
+def test_a_build_without_cffi_fails_in_one_line_and_colcon_can_still_ask() -> None:
+    code = "import runpy, sys; sys.modules['cffi'] = None; sys.argv = {words!r}; runpy.run_path('setup.py', run_name='__main__')"
+    done = run_python(code.format(words=["setup.py", "build_ext"]), cwd=ROOT)
+    assert done.returncode == 1
+    assert re.fullmatch(r"foretouch: cffi, .* is not installed: pip install cffi .*\n", done.stderr), done.stderr
+    asked = run_python(  # as colcon does
+        "import sys; sys.modules['cffi'] = None; import setuptools; from distutils.core import run_setup\n"
+        "print(run_setup('setup.py', script_args=('--dry-run',), stop_after='config').get_name())",
+        cwd=ROOT,
+    )
+    assert (asked.returncode, asked.stdout.split()[-1:]) == (0, ["foretouch"]), asked.stderr
+    depends = ET.parse(ROOT / "package.xml").getroot()
+    assert all("python3-cffi" in {one.text for one in depends.findall(f"{kind}_depend")} for kind in ("build", "exec"))
+    assert "python3-cffi" in (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def unpacked_wheel(tmp_path_factory) -> Path:
     """The content of the wheel, as `pip install foretouch` would install it."""

@@ -65,6 +65,8 @@ def test_what_is_masked_is_no_number() -> None:
         assert type(xyz) is np.ndarray
         np.testing.assert_array_equal(xyz, np.where(rows, np.nan, points).astype(np.float32))
     assert type(Cloud(np.ma.masked_array(points.astype(np.float32))).xyz) is np.ndarray
+    one = np.ma.masked_array(points, np.stack([gone, ~gone & False, ~gone & False], axis=1))  # in x alone
+    np.testing.assert_array_equal(np.isnan(Cloud(one).xyz), rows)
     colours = Cloud(points, np.ma.masked_array(np.full((4, 3), 9, np.uint8), rows)).rgb
     np.testing.assert_array_equal(colours, np.where(rows, 0, 9))
     masked = np.ma.masked_array([0.0, 0.0, 1.0], [False, True, False])

@@ -3,26 +3,29 @@
 
 import fcntl
 import os
+import stat
 import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from every_case import every_case, every_refusal
 from recording_builders import write_dataset
 
 from foretouch.cli.output import print_table, warn
-from foretouch.cloud.io.files import read_cloud
+from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import dump_yaml, load_yaml, parse_overrides
 from foretouch.dataset.editing import drop
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.errors import ConfigError, FileError, ForetouchError
-from foretouch.files import FileBytes, read_bytes, replace_files, require_schema
+from foretouch.files import FileBytes, read_bytes, replace_files, require_schema, require_writable
 from foretouch.models.history_keeper import HistoryFile
 from foretouch.report.panels import new_figure, save_small
 from foretouch.report.rerun_view import write_view
 from foretouch.ros.runtime.environment import stale_bytes
+from foretouch.types import Cloud
 from foretouch_lab.experiments.framework.manifest import open_folder, write_manifest
 
 
@@ -64,6 +67,37 @@ def test_figures_and_cells_are_not_written_through_links(tmp_path: Path) -> None
     (sweep / "cells").symlink_to(folder)
     with pytest.raises(FileError, match="cells: is a link"):
         open_folder(sweep, fixed)
+
+
+def test_devices_and_fifos_are_not_replaced_by_what_is_saved(tmp_path: Path) -> None:
+    cloud = Cloud(np.ones((4, 3), np.float32))
+    writers = {
+        ".npz": lambda path: write_cloud(path, cloud),
+        ".ply": lambda path: write_cloud(path, cloud),
+        ".json": lambda path: replace_files({path: b"new"}),
+        ".png": lambda path: require_writable(path, ".png"),
+        ".rrd": lambda path: write_view(path, [], "x"),
+    }
+
+    def check(suffix: str, write: Callable[[Path], object]) -> None:
+        for name, make in (
+            ("fifo", os.mkfifo),
+            ("device", lambda path: os.mknod(path, stat.S_IFCHR | 0o600, os.makedev(1, 3))),
+        ):
+            path = tmp_path / f"{name}{suffix}"
+            try:
+                make(path)
+            except PermissionError:  # only root makes devices
+                continue
+            before = path.lstat()
+            with pytest.raises(
+                FileError,
+                match=f"{path.name}: cannot be written: is a {name.upper() if name == 'fifo' else name}, not a regular",
+            ):
+                write(path)
+            assert path.lstat() == before
+
+    every_case(list(writers.items()), check)
 
 
 def test_numbers_of_yaml_are_decimal_and_a_key_that_occurs_twice_is_refused(tmp_path: Path) -> None:

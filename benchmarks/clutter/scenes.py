@@ -77,6 +77,16 @@ def _kind(stem: str) -> str:
     return kinds[-1] if kinds else stem.split("_", maxsplit=1)[0]
 
 
+def real_sources(data: Path) -> dict[str, list[LabelledCloud]]:
+    """Images of real cameras that people labelled, by their source: whole images by the first word of their names, and the database as `osd`."""
+    sources: dict[str, list[LabelledCloud]] = {}
+    for folder in ("real_scenes", "osd"):
+        for scene in load_scenes(data / folder):
+            name = folder if folder == "osd" else scene.name.split("_", maxsplit=1)[0]
+            sources.setdefault(name, []).append(scene)
+    return sources
+
+
 def recorded_objects(folder: Path) -> Iterator[LabelledCloud]:
     """The segmented objects of recorded grasps (`<object>/<time>/cloud-object.pcd`), put back into the image they came from.
 

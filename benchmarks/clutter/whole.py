@@ -22,25 +22,23 @@ _WORST: Final = 6  # images that are drawn
 
 def rows(scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
     """A row for each image, the worst first, and one for all."""
-    answers = [_answer(scene) for scene in scenes]
-    table = [_row(scene.name, [answer]) for scene, answer in zip(scenes, answers, strict=True)]
+    answers = [answer(scene) for scene in scenes]
+    table = [row(scene.name, [answer]) for scene, answer in zip(scenes, answers, strict=True)]
     table.sort(key=lambda row: (row["target"] - row["none"] - row["cut"] - row["merged"] + row["found"] - row["objects"], row["images"]))  # fmt: skip
-    return [*table, _row("all", answers)]
+    return [*table, row("all", answers)]
 
 
 def kinds(scenes: Iterable[LabelledCloud]) -> list[dict[str, Any]]:
     """A row for each kind of scene, and one for all."""
     answers: dict[str, list[tuple[SceneScore, bool, float]]] = {}
     for scene in scenes:
-        answers.setdefault(scene.kind, []).append(_answer(scene))
+        answers.setdefault(scene.kind, []).append(answer(scene))
     every = [answer for some in answers.values() for answer in some]
-    rows = [
-        {"rooms": kind, "count": len(some), **_row(kind, some)} for kind, some in [*answers.items(), ("all", every)]
-    ]
+    rows = [{"rooms": kind, "count": len(some), **row(kind, some)} for kind, some in [*answers.items(), ("all", every)]]
     return [{name: value for name, value in row.items() if name != "images"} for row in rows]
 
 
-def _answer(scene: LabelledCloud) -> tuple[SceneScore, bool, float]:
+def answer(scene: LabelledCloud) -> tuple[SceneScore, bool, float]:
     """The score, whether the default target is one whole object, and the least CPU time of three calls [ms]."""
     pipeline = Pipeline()
     result = pipeline.segment(scene.cloud)
@@ -50,7 +48,7 @@ def _answer(scene: LabelledCloud) -> tuple[SceneScore, bool, float]:
     return score(labels, true), whole, cpu_ms(lambda: pipeline.segment(scene.cloud), 3, least=True)
 
 
-def _row(name: str, answers: Sequence[tuple[SceneScore, bool, float]]) -> dict[str, Any]:
+def row(name: str, answers: Sequence[tuple[SceneScore, bool, float]]) -> dict[str, Any]:
     scores = [one for one, *_ in answers]
     return {
         "images": name,

@@ -471,6 +471,8 @@ def _field_value(hint: Any, value: Any, source: str, name: str) -> Any:
     """Convert a plain value for its field; values that are not groups are checked by `Settings`."""
     item, is_list, optional = _analyse(hint)
     if not issubclass(item, Settings):
+        if is_list and item is str and isinstance(value, str) and value:
+            return (value,)  # a list of one text may be written without brackets
         return tuple(value) if isinstance(value, list) else value
     if value is None and optional:
         return None

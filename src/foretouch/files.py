@@ -213,7 +213,7 @@ class FileBytes:
 
 def require_replaceable(path: str | Path) -> None:
     """Refuse a file to write where something else than a regular file is, such as a device; a link counts as what it leads to."""
-    with _named(path), suppress(FileNotFoundError):
+    with _named(path), suppress(FileNotFoundError, NotADirectoryError):
         if not stat.S_ISREG(mode := Path(path).stat().st_mode):
             raise FileError(path, f"cannot be written: is a {_kind(mode)}, not a regular file")
 

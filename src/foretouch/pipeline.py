@@ -26,6 +26,7 @@ from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, pl
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.grasp.unseen import DepthAround
 from foretouch.models import History, TouchModel, load_model
+from foretouch.models.registry import MODEL_WORDS, PREDICTOR_WORDS
 from foretouch.types import Cloud, Float64, Grasp, Grasps, Plane, Predictions, Touch
 from foretouch.types.cloud import require_cloud
 from foretouch.types.scene import Object, Obstacles, Scene
@@ -42,7 +43,8 @@ class PipelineConfig(Summarised, Settings):
     grasp: GeoGraspConfig = GeoGraspConfig()
     hand: HandConfig = HandConfig()
     reach: ReachConfig = ReachConfig()
-    model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
+    model: str = setting("default", MODEL_WORDS, read_only=True)
+    predictor: str = setting("", PREDICTOR_WORDS, read_only=True)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         defaults = flattened(type(self)().to_mapping())
@@ -114,7 +116,7 @@ class Pipeline(Summarised):
     def model(self) -> TouchModel:
         """The touch model, loaded once; a `ForetouchError` if it is absent or damaged."""
         if self._model is None:
-            self._model = load_model(self.config.model)
+            self._model = load_model(self.config.model, self.config.predictor or None)
         return self._model
 
     def segment(

@@ -92,6 +92,15 @@ def test_a_topic_of_depth_images_is_answered_until_the_count(environment) -> Non
     assert 3 == last["answered"] <= last["played"] <= 5, "what comes after the last answer does not count"
 
 
+CAMERA = {
+    "--intrinsics": "1,1,1,1",
+    "--camera-info": "a.yaml",
+    "--info-topic": "/a",
+    "--rectified": "yes",
+    "--depth-scale": "1",
+}
+
+
 def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text("camera: {width: 424, hight: 320}\n", encoding="utf-8")
@@ -111,6 +120,19 @@ def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
         (("run", "--source", "s.yaml", "--wait-limit", "1"), f"--wait-limit: {played} s.yaml is another source\n"),
         (("run", "--source", "s.yaml", "--depth-scale", "1"), f"--depth-scale: {played} s.yaml is"),
         (("run", "--source", "/a/b", "--plane", "0,0,1,-1"), f"--plane: {played} /a/b is"),
+        *(
+            (("run", "--source", source, option, value), f"{option}: {played} {source} is")
+            for source in ("/a/b", "camera", "s.yaml")
+            for option, value in CAMERA.items()
+        ),
+        *(
+            ((command, *source, image, option, value), f"{image}: holds points: leave out {option}, which is for depth")
+            for command, source in (("run", ("--source",)), ("replay", ()))
+            for option, value in CAMERA.items()
+            if option != "--info-topic"
+        ),
+        (("replay", image, "--info-topic", "/a"), f"{image}: is not a recording, so it has no topic /a"),
+        (("replay", image, "--plane", "0,0,1,-1"), "--plane: is for the points of one object; the table is found in"),
         (("run", "--source", "/a/b", "--rate", "1"), "--rate: is for recordings and files, and scenes (.yaml), and"),
         (("run", "--source", image, "--dwell", "1"), "--dwell: is for scenes (.yaml), and --source"),
         (("run", "--source", image, "--plane", "0,0,1,-1"), "--plane: is for the points of one object; the table is"),

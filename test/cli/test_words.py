@@ -25,6 +25,14 @@ def parsers() -> Iterator[argparse.ArgumentParser]:
         yield from parser.commands.values()
 
 
+def test_help_fits_any_width_of_a_terminal(monkeypatch) -> None:
+    def check(columns: str) -> None:
+        monkeypatch.setenv("COLUMNS", columns)
+        assert all("exit status:" in parser.format_help() for parser in parsers())
+
+    every_case(["0", "1", "3", "-5", "words", "100000"], check)
+
+
 def test_the_help_of_every_command_has_an_example_defaults_groups_and_exit_statuses(monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     found = {parser.prog.partition(" ")[2]: parser for parser in parsers()}

@@ -129,6 +129,7 @@ def test_a_set_is_a_map_style_dataset_of_pytorch(datasets: dict[str, Path]) -> N
     samples = ft.open(datasets["recording"]).subset([4, 2, 7])
     assert [digest(samples[k]) for k in (0, -1)] == [digest(samples.read(k)) for k in (0, 2)]
     assert [sample.id for sample in samples] == [samples[np.int64(k)].id for k in range(len(samples))]
+    assert [sample.id for sample in samples[1:]] == [samples[k].id for k in (1, 2)]
     with pytest.raises(IndexError, match="there is no sample 3, 0 to 2"):
         samples[3]
     loader: Any = DataLoader(samples, batch_size=2, num_workers=1, collate_fn=list)

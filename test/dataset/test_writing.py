@@ -6,7 +6,7 @@ import runpy
 import sys
 import warnings
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, date, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -184,7 +184,8 @@ def test_times_that_are_missing_or_no_times_are_named(tmp_path: Path, pads: Path
         "a column of texts": (pd.Series(["10:00"] * 100), "are (of type str|texts), such as .*10:00"),
         "texts and dates": ([*plain[:50].tolist(), *["x"] * 50], "are of type str|stamps_ns: "),
         "a time beyond int64": (np.full(100, np.datetime64("9999-01-01", "D")), "is no time in ns"),
-        "of other things": ([object()] * 100, "is not of numbers"),
+        "days": ([date(2026, 11, 25)] * 100, "are of type date, such as .*: give numbers, or dates as"),
+        "of other things": ([object()] * 100, "are of type object"),
     }  # fmt: skip
     for times, rule in cases.values():
         with pytest.raises(DatasetError, match=rf"^sample 0 \(mug/7\): stamps_ns: .*{rule}|{rule}"):
@@ -445,6 +446,13 @@ def test_an_extension_is_there_as_a_whole_or_not_at_all(tmp_path: Path, pads: Pa
     assert snapshot(path) == before
     corrected = written(path, pads, grasp(id="1"), grasp(id="2"), min_free_mb=0.0)
     assert [sample.id for sample in corrected] == ["mug/0"] * exists + ["mug/1", "mug/2"]
+
+
+def test_a_write_that_fails_in_an_empty_folder_leaves_it_open_for_another_sensor(tmp_path: Path, pads: Path) -> None:
+    (tmp_path / "ds").mkdir()
+    with pytest.raises(DatasetError, match="rest: -1"):
+        ft.write(tmp_path / "ds", [grasp(rest=-1)], pads, hand={"name": "wrong"})
+    assert [sample.id for sample in written(tmp_path / "ds", pads, grasp())] == ["mug/7"]
 
 
 def test_an_import_into_a_dataset_is_there_as_a_whole_or_not_at_all(tmp_path: Path, pads: Path) -> None:

@@ -348,3 +348,38 @@ def test_descriptions_that_break_a_rule_are_refused(tmp_path: Path) -> None:
         load_hand(tmp_path / "text.yaml")
     with pytest.raises(ConfigError, match="name: frank_hand: is neither a file nor one of"):
         HandConfig(name="frank_hand")
+
+
+def test_a_file_that_is_no_description_is_refused_without_its_content_and_units_are_doubted(tmp_path: Path) -> None:
+    secret = "root:*:20228:0:99999:7:::\nbin:*:20228\n"
+    posture = "name: jaw\nopening_m: 0.08\npostures:\n- {width_m: 0.0, "
+    hands = {
+        "secret.yaml": (secret, "not YAML that describes a hand"),
+        "secret": (secret, "is neither a file nor one of"),
+        "passwd.txt": (secret, "is neither a file .* nor one of"),
+        "compose.yaml": ("name: site\npassword: 20228\nservices: {a: 1}\n", "is no description of a hand, whose settings are name"),
+        "empty.yaml": ("", "is no description of a hand"),
+        "comment.yaml": ("# name:\n", "is no description of a hand"),
+        "degrees.yaml": (posture + "rpy: [0, 0, 90]}\n", "rpy: 90 exceeds a full turn: is it in degrees"),
+        "millimetres.yaml": (posture + "xyz: [0, 0, -103.4]}\n", "xyz: -103.4 is longer than a hand: is it in mm"),
+        "joints.yaml": (posture + "angles: [0.1]}\njoints: [{name: a, lower: -90, upper: 90}]\n", "lower: -90 exceeds a full turn"),
+        "opening.yaml": ("opening_m: 80\n", "opening_m: 80.0 is above"),
+    }  # fmt: skip
+
+    def check(name: str, text: str, rule: str) -> None:
+        (tmp_path / name).write_text(text)
+        for load in (load_hand, lambda path: HandConfig(name=str(path))):
+            with pytest.raises(ConfigError, match=rule) as caught:
+                load(tmp_path / name)
+            assert "20228" not in str(caught.value)
+        if "secret" in name:
+            with pytest.raises(ConfigError) as caught:
+                load_sensor(tmp_path / name)
+            assert "20228" not in str(caught.value)
+
+    every_case([(name, *case) for name, case in hands.items()], check)
+    for long in ("h" * 5000, "h" * 5000 + ".yaml", "a\0b", "a\0b.yaml"):
+        for load in (load_hand, load_sensor, lambda name: HandConfig(name=name)):
+            with pytest.raises(ConfigError) as caught:
+                load(long)
+            assert len(str(caught.value)) < 2100

@@ -7,13 +7,14 @@ import sys
 import numpy as np
 import pytest
 from contact_model_builders import can_with_grasps
-from own_predictors import MEAN, Bad, Constant, Familiar, Memory, NoTable
+from experiment_samples import make_samples
+from own_predictors import MEAN, Bad, Constant, Familiar, Memory, NoTable, Widths
 
 from foretouch.errors import ModelError
 from foretouch.models.own import find_predictor, save_own
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
-from foretouch.types import Cloud
+from foretouch.types import Cloud, Grasps
 
 CAN, GRASPS = can_with_grasps(3)
 CARD = {"kind": "own", "name": "bad", "sha256": ""}
@@ -88,6 +89,16 @@ def test_what_was_learned_is_saved_and_another_predictor_is_refused(tmp_path) ->
         load_model(card, Constant)
     with pytest.raises(ModelError, match="kind: contact has a predictor already"):
         load_model("contact-v3", Constant)
+
+
+def test_arrays_among_the_attributes_are_saved_and_set_again(tmp_path) -> None:
+    widths = Widths()
+    widths.fit(make_samples(2, 6))
+    card = save_own(tmp_path / "widths.json", widths, {})
+    again = load_model(card, "own_predictors:Widths")
+    assert np.array_equal(again.estimate(CAN, GRASPS).counts, widths.estimate(CAN, Grasps.of(GRASPS)))
+    with pytest.raises(ModelError, match=r"widths: estimate: AttributeError: 'Widths' object has no attribute 'width'"):
+        load_model(card, Widths())  # which was not fitted
 
 
 def test_a_card_makes_nothing_import(tmp_path, monkeypatch) -> None:

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.errors import ModelError, TactileError
 from foretouch.grasp.reach import ReachConfig
-from foretouch.models.network.checkpoint import NetworkEstimator
+from foretouch.models.network.checkpoint import Network, NetworkPredictor
 from foretouch.models.network.folding import FoldedNetwork
 from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths, prepare_cloud, prepare_grasps
 from foretouch.models.touch_model import History, TouchModel
@@ -27,7 +27,7 @@ TARE = biotac_touch(REST + np.linspace(-30.0, 60.0, 50))
 
 @pytest.fixture
 def model(make_net, small) -> TouchModel:
-    return TouchModel(NetworkEstimator(small, make_net().folded()), CARD)
+    return TouchModel(NetworkPredictor([Network(small, make_net().folded())]), CARD)
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_values_out_of_range_are_flagged_and_overflow_is_refused(make_net, small
         net = make_net()
         with torch.no_grad():
             net.target_mean[column] = value
-        found += TouchModel(NetworkEstimator(small, net.folded()), CARD).predict(can, make_grasps(1))
+        found += TouchModel(NetworkPredictor([Network(small, net.folded())]), CARD).predict(can, make_grasps(1))
     beyond, overflown = found
     assert "out_of_range" in beyond.flags
     assert beyond.value["PDC_TH"][0] > 4000
@@ -105,7 +105,7 @@ def test_clouds_and_grasps_out_of_distribution_are_flagged(make_net, small, can,
     grasps = make_grasps(20)
     lengths = grasp_lengths(prepare_cloud(can, small), grasps)
     lengths_check = LengthRangeCheck(lengths.min(axis=0) - 0.01, lengths.max(axis=0) + 0.01)
-    model = TouchModel(NetworkEstimator(small, make_net().folded(), lengths_check), CARD)
+    model = TouchModel(NetworkPredictor([Network(small, make_net().folded(), lengths_check)]), CARD)
     assert not any("unfamiliar" in p.flags for p in model.predict(can, grasps))
     back, aside = np.array([0.0, 0.0, 1.0]), np.array([0.5, 0.0, 0.0])
     far = Cloud((can.xyz + back).astype(np.float32))

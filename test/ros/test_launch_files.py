@@ -17,12 +17,19 @@ from foretouch.ros.nodes.recorder import RecorderConfig
 
 FOLDER = Path(__file__).parents[2] / "launch"
 SHOWN = ["-p", "scene.path:=s.yaml", "-p", "scene.dwell_s:=2.0"]
-MODEL = ["-p", "model:=m.json"]
-SHARED = {"namespace": "/left", "params_file": "", "use_sim_time": "false", "respawn": "false"}
+MODEL = ["-p", "model:=m.json", "-p", "predictor:=mine:Mine"]
+SHARED = {"namespace": "/left", "predictor": "", "params_file": "", "use_sim_time": "false", "respawn": "false"}
 NODES = {  # values of the arguments, then executables with what is peculiar to each
     "camera": ({}, {"camera": {}}),
     "perception": (
-        {"points": "/camera/points", "depth": "d", "model": "m.json", "one_process": "true", "input": ""},
+        {
+            "points": "/camera/points",
+            "depth": "d",
+            "model": "m.json",
+            "predictor": "mine:Mine",
+            "one_process": "true",
+            "input": "",
+        },
         {
             "perception": {
                 "remappings": [("depth/image", "d"), ("points", "/camera/points")],

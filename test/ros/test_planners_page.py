@@ -8,6 +8,7 @@ import pytest
 
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.grasp.reach import OFF_OBJECT
+from foretouch.grasp.unseen import BESIDE_UNSEEN
 from foretouch.models.equal_pressure import EQUAL_PRESSURE
 from foretouch.models.predictor import UNFAMILIAR
 from foretouch.models.touch_model import NO_TABLE, SIMILAR_TOUCHES
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).parents[2]
 FLAGS = (
-    *("out_of_range", "unfamiliar", *UNFAMILIAR, SIMILAR_TOUCHES, EQUAL_PRESSURE, OFF_OBJECT, NO_TABLE),
+    *("out_of_range", "unfamiliar", *UNFAMILIAR, SIMILAR_TOUCHES, EQUAL_PRESSURE, OFF_OBJECT, BESIDE_UNSEEN, NO_TABLE),
     *(LATE, "fallback_model", AMBIGUOUS_TARGET, SELECTED, UNKNOWN_FRAME),
 )
 PAGE = (ROOT / "docs" / "planners.md").read_text(encoding="utf-8")

@@ -154,7 +154,12 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "`perception` keeps: adapt the predictions to the state of its sensors",
     },
     "--model": {
-        "help": "name of a model, or path of its card, weights or model folder (default: contact-v3; of `run` with a scene: simulated)"
+        "help": "name of a model, or path of its card, weights or model folder; networks for different modalities are joined by commas"
+        " (default: contact-v3; of `run` with a scene: simulated)"
+    },
+    "--predictor": {
+        "metavar": "NAME",
+        "help": "predictor of a model of your own, whose code is imported: module:attribute, or an entry point of foretouch.models",
     },
     "--params": {"metavar": "YAML", "help": "ROS parameter file for all nodes"},
     "--sensor": {
@@ -194,6 +199,7 @@ _OPTION_OF = {
     "target.mode": "--target",
     "hand.name": "--hand",
     "model": "--model",
+    "predictor": "--predictor",
     "grasp.tip_mm": "--tip-mm",
     "grasp.count": "--count",
 }
@@ -213,6 +219,7 @@ def pipeline_config(
         "target.mode": getattr(arguments, "target", None),
         "hand.name": getattr(arguments, "hand", None),
         "model": getattr(arguments, "model", None) or None,
+        "predictor": getattr(arguments, "predictor", None),
     }
     config = config.updated(parse_overrides(arguments.set), "--set")
     for name, value in (given | (changes or {})).items():

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from foretouch.cli.inputs import add_options
 from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ModelError
 from foretouch.files import file_sha256
-from foretouch.models.registry import available_models, find_card, load_model
+from foretouch.models.registry import available_models, find_cards, load_model
 
 _SPLITS = ("random", "time", "object")
 
@@ -23,11 +24,12 @@ def add_arguments(parser: CommandParser) -> None:
         nargs="*",
         help="names, or paths of cards, weights or model folders (default: the models of the package)",
     )
+    add_options(parser, "--predictor")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; the exit status is 1 if a model is missing or damaged."""
-    records = [_record(name) for name in arguments.models or available_models()]
+    records = [_record(name, arguments.predictor) for name in arguments.models or available_models()]
     if arguments.json:
         for record in records:
             print_json(record)
@@ -36,18 +38,18 @@ def run(arguments: argparse.Namespace) -> int:
     return int(any(record["status"] != "ok" for record in records))
 
 
-def _record(name: str) -> dict[str, Any]:
+def _record(name: str, predictor: str | None) -> dict[str, Any]:
     """Return the JSON object of one model; loading it compares every file with its hash in the card."""
     status = "missing"
     try:
-        path = find_card(name)
+        find_cards(name)
         status = "damaged"
-        model = load_model(name)
+        model = load_model(name, predictor)
     except ModelError as err:
         return {"status": status, "name": name, "reason": str(err)}
     card = model.card
     names = (card["weights"], (card["calibration"] or {}).get("weights"))
-    files = [path.with_name(Path(name).name) for name in names if name]
+    files = [] if model.path is None else [model.path.with_name(Path(name).name) for name in names if name]
     skills = {split: _mean(name, "skill") for split, name in card.get("skill", {}).items()}
     return {
         "status": "ok",

@@ -12,7 +12,7 @@ from foretouch.errors import nearest, none_of
 _GROUPS: Final = {
     "what is read": "topic intrinsics camera_info info_topic rectified depth_scale mask target pixel point plane scene hand grasp data source dwell rate loop restamp resume "
     "sensor thumb middle check assume_grasps object objects",
-    "model and adaptation": "model tare touched history prequential tip_mm slide_m vary",
+    "model and adaptation": "model predictor tare touched history prequential tip_mm slide_m vary",
     "settings": "config set params namespace count seconds samples seed workers preset address explain wait_for "
     "wait_limit no_wait",
     "what is written": "all json out output picture serve save screenshot labels_out no_sheet redraw",

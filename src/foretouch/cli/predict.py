@@ -43,7 +43,7 @@ def add_arguments(parser: CommandParser) -> None:
         metavar="x1,y1,z1,x2,y2,z2",
         help="contacts [m] (default: the sample's own, or planned ones)",
     )
-    inputs.add_options(parser, "--model", *inputs.ADAPTED)
+    inputs.add_options(parser, "--model", "--predictor", *inputs.ADAPTED)
     parser.add_argument(
         "--prequential",
         action="store_true",
@@ -117,7 +117,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
         if getattr(arguments, option.removeprefix("--").replace("-", "_")):
             raise ConfigError(f"{option}: cannot be combined with --prequential")
 
-    model = load_model(arguments.model) if arguments.model else load_model()
+    model = load_model(arguments.model or "default", arguments.predictor)
     channels = model.sensor.channels
     history = [earlier for earlier in read_samples(arguments.history, channels) if earlier.touch is not None]
     done = replay_model(model, read_samples(arguments.inputs, channels), history)

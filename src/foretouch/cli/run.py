@@ -65,7 +65,7 @@ def add_arguments(parser: CommandParser) -> None:
         metavar="N",
         help="end after N answered clouds (default: at the end of the source, or Ctrl-C)",
     )
-    add_options(parser, "--model", "--params")
+    add_options(parser, "--model", "--predictor", "--params")
     parser.add_argument(
         "--picture",
         metavar="PNG",
@@ -148,8 +148,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Return parameters of each node by name, from the options; the source comes last, after its subscribers."""
     from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
-    from foretouch.models.card import read_card
-    from foretouch.models.registry import SIMULATED_HAND_MODEL, find_card
+    from foretouch.models.registry import SIMULATED_HAND_MODEL, load_model
     from foretouch.ros.nodes.camera import DEPTH_TOPIC
 
     given = [settings for _, settings in nodes_of_file(arguments.params)] if arguments.params else []
@@ -157,8 +156,10 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     nodes: dict[str, dict[str, Any]] = {"perception": perception}
     arguments.remapped = []  # what perception receives
     if arguments.model:
-        read_card(find_card(arguments.model))  # so that an absent one is reported before anything starts
+        load_model(arguments.model, arguments.predictor)  # so that an absent one is reported before anything starts
         nodes["perception"]["model"] = str(arguments.model)
+    if arguments.predictor:
+        nodes["perception"]["predictor"] = arguments.predictor
     if arguments.serve is not None:
         from foretouch.ros.nodes.bridge import foxglove_sdk
 
@@ -221,13 +222,13 @@ def _is_topic(source: str) -> bool:
 def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]]) -> Sensor:
     """Return the sensor of the model; of one that cannot be loaded, which the predictor reports, the BioTac SP."""
     from foretouch.models.card import read_card
-    from foretouch.models.registry import find_card
+    from foretouch.models.registry import find_cards
 
     given = dict(nodes_of_file(arguments.params)) if arguments.params else {}
     set_in_file = next((parameters["model"] for parameters in given.values() if "model" in parameters), "default")
     model = str(nodes["perception"].get("model", set_in_file))
     try:
-        return sensor_in(read_card(find_card(model)), model)
+        return sensor_in(read_card(find_cards(model)[0]), model)
     except ForetouchError:
         return BIOTAC_SP
 

@@ -37,7 +37,15 @@ def add_arguments(parser: CommandParser) -> None:
         "--count", type=inputs.positive_number, metavar="N", help="show the first N clouds or samples (default: all)"
     )
     inputs.add_options(
-        parser, "--topic", *inputs.CAMERA, "--config", "--set", "--model", *inputs.PLANNED, *inputs.ADAPTED
+        parser,
+        "--topic",
+        *inputs.CAMERA,
+        "--config",
+        "--set",
+        "--model",
+        "--predictor",
+        *inputs.PLANNED,
+        *inputs.ADAPTED,
     )
 
 

@@ -44,7 +44,7 @@ def name_of(value: Any, what: str) -> str:
     if isinstance(value, str):
         if re.search("[\ud800-\udfff]", value):
             raise DatasetError(f"{what}: {shown(value)} holds half of a surrogate pair, which is no text")
-        return str(value)
+        return str.__str__(value)  # of a member of an enumeration its value
     whole = (
         isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST and value == int(value)
     )

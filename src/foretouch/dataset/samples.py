@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, overload
 
 import numpy as np
 
@@ -57,8 +57,14 @@ class SampleSet(Summarised, Tabular):
     def __len__(self) -> int:
         return self.size
 
-    def __getitem__(self, number: int) -> Sample:
-        """Read a sample by its number, from the end if it is negative; an `IndexError` if there is none."""
+    @overload
+    def __getitem__(self, number: int) -> Sample: ...
+    @overload
+    def __getitem__(self, number: slice) -> "SampleSet": ...
+    def __getitem__(self, number: int | slice) -> "Sample | SampleSet":
+        """Read a sample by its number, from the end if it is negative, or choose some by a slice; an `IndexError` if there is none."""
+        if isinstance(number, slice):
+            return self.subset(range(self.size)[number])
         number = operator.index(number)
         if not -self.size <= number < self.size:
             raise IndexError(f"{self.path}: there is no sample {number}, 0 to {self.size - 1}")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from foretouch.cloud.io.depth_files import PAIRING, DepthCamera, Pairs
-from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
+from foretouch.cloud.io.files import CLOUD_SUFFIXES, holds_points, read_cloud
 from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
 from foretouch.dataset.formats import is_sample_set, open_samples, readable_formats
@@ -138,6 +138,8 @@ def _recording(path: Path, topic: str | None, frame_id: str, camera: DepthCamera
 def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     """Return a file, or the files of a folder, as a source of clouds."""
     is_folder = path.is_dir()
+    if given.stated and not is_folder and holds_points(path):
+        given.require_none(path, "holds points")
     files = sorted(path.iterdir(), key=_natural) if is_folder else [path]
     pairs = Pairs.of(files if is_folder else [])
     known = CLOUD_SUFFIXES if is_folder else CLOUD_SUFFIXES + IMAGE_SUFFIXES

@@ -2,6 +2,7 @@
 """Stamps of readings, as tables hold them: numbers of seconds or nanoseconds, and dates of any library and zone."""
 
 from datetime import UTC, datetime, timedelta
+from numbers import Number
 from typing import Any, Final
 
 import numpy as np
@@ -73,9 +74,9 @@ def _times(name: str, given: Any) -> tuple[AnyArray, int]:
         _check_range(name, float(max(map(abs, stamps))), 1)
         return np.array(stamps, np.int64).reshape(times.shape), 1
     if times.dtype == object:
-        first = next((item for item in times.ravel() if not isinstance(item, int | float)), times)
-        if isinstance(first, str | bytes | datetime | timedelta):
-            raise DatasetError(f"{name}: are of type {type(first).__name__}, such as {shown(first, 40)}: {_CURE}")
+        for item in times.ravel():
+            if not isinstance(item, Number) or isinstance(item, complex):
+                raise DatasetError(f"{name}: are of type {type(item).__name__}, such as {shown(item, 40)}: {_CURE}")
         times = numbers(times, name, DatasetError)
     if times.dtype.kind not in "iuf":
         kind = _KINDS.get(times.dtype.kind, f"of dtype {times.dtype}")

@@ -17,6 +17,8 @@ enum { HOLE, TABLE, UNDER, OVER };             /* kinds of cells */
 #define PIECE 100    /* a piece of the table that is as many times smaller than the largest is noise */
 #define CONTACT 20   /* and a part of whose outline, or cells, fewer than one of as many are at the table floats */
 #define ABROAD 50    /* what hovers above the table comes from out of view if one of as many edges around it is at the border, and high */
+#define MOSTLY 0.37  /* share of the outline at the border of the image, from which on too little of a part is seen */
+#define FALLS 0.67f   /* height at the border by the largest, of a part that may stand on the table beyond */
 #define FURTHER 0.3f /* of the width of the view: so far goes a table on that is cut off by the image */
 #define CLOSE 0.02f  /* difference in depth of cells that are connected [m] */
 #define MANY 30      /* cells of a wall */
@@ -33,9 +35,9 @@ enum { HOLE, TABLE, UNDER, OVER };             /* kinds of cells */
 typedef struct {
     double sum[9];       /* of cells within: x, y, z and their products */
     int64_t first, last; /* cells */
-    float top;           /* height [m] */
-    int32_t cells, within, low, inside, ring, border, raised, table, touching, reason, upright; /* ring: edges around it, and those at
-        the border of the image, also without the low ones, beside the table, and at its depth */
+    float top, foot;     /* heights: the largest, and the least at the border of the image where the foot of a cell is beyond it [m] */
+    int32_t cells, within, low, inside, ring, border, raised, away, table, touching, front, reason, upright; /* ring: edges around it, and those at
+        the border of the image, also without the low ones, or with their feet beyond it; beside the table, at its depth, and before it */
 } part;
 
 typedef struct {
@@ -217,16 +219,17 @@ INLINE ray_counts ends_of(const board *g, float further, ray *ends, ray *beyond)
     return n;
 }
 
-/* One edge between a cell of a part and what is beside it: another cell, or nothing at the border of the image. near: (n, n, 2), edges
- * between parts that are close, and all. */
-INLINE void add_edge(const board *g, part *parts, int32_t *near, int64_t i, int64_t other, int at_border) {
+/* One edge between a cell of a part and what is beside it: another cell, or nothing at the border of the image. `onward`: whether the foot
+ * of the cell lies in that direction. near: (n, n, 2), edges between parts that are close, and all. */
+INLINE void add_edge(const board *g, part *parts, int32_t *near, int64_t i, int64_t other, int at_border, int onward) {
     const int32_t *labels = g->of->labels;
     part *own = parts + labels[i];
-    own->ring++, own->border += at_border, own->raised += at_border && g->height[i] > (float)g->of->foot;
+    own->ring++, own->border += at_border, own->raised += at_border && g->height[i] > (float)g->of->foot, own->away += at_border && onward;
+    own->foot = at_border && onward && (own->foot == 0.0f || g->height[i] < own->foot) ? g->height[i] : own->foot;
     if (!at_border) {
-        const int close = fabsf(g->of->grid[3 * other + 2] - g->of->grid[3 * i + 2]) < CLOSE;
+        const int close = fabsf(g->of->grid[3 * other + 2] - g->of->grid[3 * i + 2]) < CLOSE, table = g->kind[other] == TABLE;
         int32_t *edges = near + (labels[i] * g->of->n + labels[other]) * 2;
-        own->table += g->kind[other] == TABLE, own->touching += close && g->kind[other] == TABLE;
+        own->table += table, own->touching += close && table, own->front += close && table && onward;
         edges[0] += close && labels[other], edges[1] += labels[other] != 0;
     }
 }
@@ -237,6 +240,8 @@ INLINE void add_cell(const board *g, const ray *hull, int64_t n_hull, part *part
     const int ends[4] = {x == g->first[1], x == g->last[1], y == g->first[0], y == g->last[0]};
     const float *p = g->of->grid + 3 * i, up = g->height[i];
     const float foot[3] = {p[0] - up * (float)g->of->plane[0], p[1] - up * (float)g->of->plane[1], p[2] - up * (float)g->of->plane[2]};
+    const float right = foot[0] * p[2] - p[0] * foot[2], down = foot[1] * p[2] - p[1] * foot[2];
+    const int onward[4] = {right < 0.0f, right > 0.0f, down < 0.0f, down > 0.0f};
     part *own = parts + g->of->labels[i];
     const int32_t ring = own->ring;
     own->top = own->cells && own->top > up ? own->top : up;
@@ -245,7 +250,7 @@ INLINE void add_cell(const board *g, const ray *hull, int64_t n_hull, part *part
     own->inside += foot[2] > 0.0f && is_within(hull, n_hull, foot[0] / foot[2], foot[1] / foot[2]);
     for (int k = 0; k < 4; k++) {
         if (ends[k] || g->of->labels[around[k]] != g->of->labels[i]) {
-            add_edge(g, parts, near, i, around[k], ends[k]);
+            add_edge(g, parts, near, i, around[k], ends[k], onward[k]);
         }
     }
     if (own->ring > ring) { /* depth is mixed at an outline */
@@ -278,14 +283,32 @@ INLINE void measure(const board *g, const ray *hull, int64_t n_hull, part *parts
     }
 }
 
-/* The reason of each part by itself; FLOATS also where it may rest on another one. */
-static void judge(part *parts, int64_t n, double border) {
-    for (part *own = parts + 1; own < parts + n; own++) {
-        const int inside = 2 * own->inside >= own->cells;
-        const int hovers = ABROAD * own->border >= own->ring && 10 * own->raised >= 9 * own->border && CONTACT * own->touching < own->ring;
-        const int cut = hovers || (double)own->border >= border * (double)own->ring;
-        const int rests = CONTACT * own->table >= own->ring || CONTACT * own->low >= own->cells;
-        own->reason = !own->cells ? STANDS : cut ? (inside ? ENTERS : BEYOND) : !inside ? BEYOND : rests ? STANDS : FLOATS;
+/* Largest extent of a part along x, y or z [m]. */
+static double size_of(const board *g, const part *own, int64_t label) {
+    float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY}, most = 0.0f;
+    for (int64_t c = own->first; c <= own->last; c++) {
+        for (int k = 0; k < 3 && g->of->labels[c] == label; k++) {
+            const float at = g->of->grid[3 * c + k];
+            low[k] = at < low[k] ? at : low[k], high[k] = at > high[k] ? at : high[k];
+        }
+    }
+    for (int k = 0; k < 3; k++) {
+        most = high[k] - low[k] > most ? high[k] - low[k] : most;
+    }
+    return most;
+}
+
+/* The reason of each part by itself; FLOATS also where it may rest on another one. What the image cuts is an object if the table is seen
+ * before its foot, or if that may be out of view, if most of it is in view and it is not longer than few objects are. */
+static void judge(const board *g, part *parts) {
+    for (int64_t label = 1; label < g->of->n; label++) {
+        part *own = parts + label;
+        const int inside = 2 * own->inside >= own->cells, rests = CONTACT * own->table >= own->ring || CONTACT * own->low >= own->cells;
+        const int stands = CONTACT * own->touching >= own->ring, hidden = 2 * own->away >= own->border && own->foot < FALLS * own->top, cut = own->border >= g->of->border * own->ring;
+        const int hovers = ABROAD * own->border >= own->ring && 10 * own->raised >= 9 * own->border && CONTACT * own->touching < own->ring && !hidden;
+        const int whole = (stands || hidden) && own->border < MOSTLY * own->ring && size_of(g, own, label) < LONG;
+        const int enters = hovers || (cut && !whole);
+        own->reason = !own->cells ? STANDS : enters ? (inside ? ENTERS : BEYOND) : !inside ? BEYOND : rests ? STANDS : FLOATS;
     }
 }
 
@@ -421,9 +444,9 @@ static void continue_walls(const board *g, part *parts, const int32_t *near) {
     }
 }
 
-/* Why each part is background. reasons: (n). outline: (4 h + 2, 3), the corners of the hull of the table [m]; found: (1), how many,
+/* Why each part is background, and whether the image cuts it. reasons, cut: (n). outline: (4 h + 2, 3), the corners of the hull of the table [m]; found: (1), how many,
  * -1 without memory. */
-VECTORISED void find_background(const Parts *of, int64_t *reasons, double *outline, int64_t *found) {
+VECTORISED void find_background(const Parts *of, int64_t *reasons, uint8_t *cut, double *outline, int64_t *found) {
     const int64_t h = of->h, w = of->w, n = of->n, most = h * (w / 2 + 1), some = 4 * h + 2;
     const size_t zeros = (size_t)n * sizeof(part) + (size_t)(2 * n * n + w + most) * sizeof(int32_t);
     const size_t rest = (size_t)(3 * some) * sizeof(ray) + (size_t)(2 * most) * (sizeof(run) + sizeof(int32_t)) + (size_t)(h * w) * (sizeof(float) + 1);
@@ -454,12 +477,12 @@ VECTORISED void find_background(const Parts *of, int64_t *reasons, double *outli
         n_hull = hull_of(ends, n_hull + count.beyond, hull);
     }
     measure(&g, hull, n_hull, parts, near);
-    judge(parts, n, of->border);
+    judge(&g, parts);
     spread(parts, near, n);
     continue_walls(&g, parts, near);
     find_bin(&g, parts, near);
     for (int64_t i = 0; i < n; i++) {
-        reasons[i] = parts[i].reason;
+        reasons[i] = parts[i].reason, cut[i] = ABROAD * parts[i].border >= parts[i].ring && parts[i].border;
     }
     free(parts);
 }

@@ -35,6 +35,8 @@ enum {
 #define BASE_FRACTION (1.0f / 3.0f)
 #define MIN_SUPPORT 4
 #define MIN_STRAIGHT 3
+#define WINDOW 5 /* cells of a side of a window in which the noise is measured, */
+#define APART 6  /* and from one window to the next */
 #define SMALL 8 /* times the least number of nodes: of a set that is connected across larger steps */
 
 INLINE float height_of(const float *p, const double *s) {
@@ -607,6 +609,33 @@ void coarse_grid(const float *xyz, int64_t h, int64_t w, int64_t stride, double 
             coarse[3 * i + 2] = p[2];
             index[found] = i;
             found += (p[2] >= near) & (p[2] <= far);
+        }
+    }
+    count[0] = found;
+}
+
+/* How much the inverse depth in small windows of a coarse grid (h, w, 3) deviates from a plane, whose image is linear in it: the root of
+ * the residual's mean square [1/m], of each window whose points are all in range. residuals: ((h / APART + 1) (w / APART + 1)), of which
+ * `count` (1) are written. */
+VECTORISED void window_residuals(const float *grid, int64_t h, int64_t w, double nearest, double farthest, double *residuals, int64_t *count) {
+    int64_t found = 0;
+    for (int64_t row = 0; row + WINDOW <= h; row += APART) {
+        for (int64_t column = 0; column + WINDOW <= w; column += APART) {
+            const float *first = grid + 3 * (row * w + column) + 2;
+            const double middle = 1.0 / (double)first[3 * (WINDOW / 2) * (w + 1)];
+            double sum = 0.0, across = 0.0, down = 0.0, squares = 0.0;
+            int all = 1;
+            for (int64_t i = 0; i < WINDOW; i++) {
+                for (int64_t j = 0; j < WINDOW; j++) {
+                    const double z = (double)first[3 * (i * w + j)], d = 1.0 / z - middle;
+                    all &= (z >= nearest) & (z <= farthest);
+                    sum += d, across += d * (double)(j - WINDOW / 2), down += d * (double)(i - WINDOW / 2), squares += d * d;
+                }
+            }
+            const double n = WINDOW * WINDOW, spread = n * (n - 1.0) / 12.0; /* of the columns, and of the rows: sum of their squares */
+            const double rest = squares - sum * sum / n - (across * across + down * down) / spread;
+            residuals[found] = sqrt(rest > 0.0 ? rest / (n - 3.0) : 0.0);
+            found += all;
         }
     }
     count[0] = found;

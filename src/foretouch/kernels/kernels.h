@@ -23,7 +23,7 @@ typedef struct {
     double foot;         /* height of a foot [m] */
     double flat;         /* thickness of a wall [m] */
 } Parts;
-void find_background(const Parts *of, int64_t *reasons, double *outline, int64_t *found);
+void find_background(const Parts *of, int64_t *reasons, uint8_t *cut, double *outline, int64_t *found);
 
 /* closing.c */
 void outline(const double *points, int64_t n, const double *grid, int64_t rows, int64_t columns, float *nearest,
@@ -68,6 +68,8 @@ void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t
 void count_labels(const int32_t *labels, const int64_t *pixels, int64_t n, int64_t last, int64_t *counts);
 void coarse_grid(const float *xyz, int64_t h, int64_t w, int64_t stride, double nearest, double farthest, float *coarse,
     int64_t *index, int64_t *count);
+void window_residuals(const float *grid, int64_t h, int64_t w, double nearest, double farthest, double *residuals,
+    int64_t *count);
 
 /* columns.c */
 void centre_points(const double *points, int64_t n, double *centre, double *columns, double *products);

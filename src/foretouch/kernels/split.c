@@ -12,7 +12,7 @@
 #include "eigen.h"
 #include "sets.h"
 
-enum { BEND, STEP_M, PART_M2, SAME, PLANE, PITCH = PLANE + 4 };  /* of `settings` */
+enum { BEND, STEP_M, PART_M2, SAME, PLANE, PITCH = PLANE + 4, NOISE }; /* of `settings` */
 enum { PARTS, BY_SIZE, BY_BORDER, BY_VIEW, RATED, COUNTS };       /* of `counts` */
 enum { TINY_ONES, RATED_ONES, SMALL_ONES };                       /* that are joined, in this order */
 enum { REFUSED, ACCEPTED, CELLS_OF, JOINS };                      /* of `joins` */
@@ -34,7 +34,7 @@ enum { REFUSED, ACCEPTED, CELLS_OF, JOINS };                      /* of `joins` 
 /* Sums over the cells of a fragment: of points p about an origin, and where there is a normal n of p, n and m = p x n. */
 enum { CELLS, AREA, OUTLINE, P, PP = P + 3, SEEN = PP + 6, HOLLOWS, PN, Q, N = Q + 3, NN = N + 3, NM = NN + 6, MM = NM + 9, TOUCH = MM + 6, SUMS };
 /* and over the edges of a border: `before` those where the first is nearer less the others, then lines behind a nearer part, and points. */
-enum { LENGTH, BENT, STEPS, CONVEX, SIGNED, BEFORE, STEPPED, LINES, AGREE, SHARP, UNEVEN, MIDDLE, EDGES = MIDDLE + 3, FEATURES = 62 };
+enum { LENGTH, BENT, STEPS, CONVEX, SIGNED, BEFORE, STEPPED, LINES, AGREE, SHARP, UNEVEN, MIDDLE, EDGES = MIDDLE + 3, FEATURES = 64 };
 
 typedef struct {
     float p[3], d, n[3]; /* mean point [m], its inverse depth, normal towards the camera; NAN where there is none */
@@ -50,11 +50,11 @@ typedef struct {
     double sum[SUMS], top, bottom; /* heights above the table */
     double accepted;       /* lowest log odds of the joins that made it, infinite without any that was rated */
     shape is;              /* of the sums, once it is `known` */
-    int32_t known, to, first, seed; /* the fragment that it has joined, its first border, the innermost cell of its largest */
+    int32_t known, to, first, seed; /* the fragment that it has joined, its first border (a side of it), the innermost cell of its largest */
 } fragment;
 
 typedef struct {
-    int32_t a, b, next, rated; /* fragments, a < b; the next border of a */
+    int32_t of[2], next[2]; /* fragments, `of` 0 where it is gone; the next side of a border of each of them: 2 borders + side, or -1 */
     double sum[EDGES], score;
 } border;
 
@@ -69,6 +69,8 @@ typedef struct {
     int32_t *root, *first_of; /* first_of: first cell of each distance from an edge; `part` of a cell is the next one */
     fragment *fragments;
     border *borders;
+    double *keys;     /* of the borders: which is joined next */
+    int32_t *met;     /* of fragments: a border with the one that is joined, or -1 */
     double origin[3]; /* of the sums */
     int64_t *counts;
 } graph;
@@ -291,18 +293,22 @@ static void make_fragments(graph *g) {
     g->n_fragments = count;
 }
 
-/* INPUT OF THE TREES. The border of two fragments, made if there is none. */
+/* INPUT OF THE TREES. The border of two fragments, made if there is none; the first of them is `of[0]`, as it has the smaller number. */
 static border *border_of(graph *g, int32_t a, int32_t b) {
-    const int32_t first = a < b ? a : b, second = a < b ? b : a;
-    int32_t *at = &g->fragments[first].first;
-    while (*at >= 0 && g->borders[*at].b != second) {
-        at = &g->borders[*at].next;
+    const int32_t ends[2] = {a < b ? a : b, a < b ? b : a};
+    for (int32_t at = g->fragments[ends[0]].first; at >= 0; at = g->borders[at / 2].next[at & 1]) {
+        if (g->borders[at / 2].of[!(at & 1)] == ends[1]) {
+            return g->borders + at / 2;
+        }
     }
-    if (*at < 0) {
-        g->borders[g->n_borders] = (border){.a = first, .b = second, .next = -1};
-        *at = (int32_t)g->n_borders++;
+    border *made = g->borders + g->n_borders;
+    *made = (border){.of = {ends[0], ends[1]}};
+    for (int side = 0; side < 2; side++) {
+        made->next[side] = g->fragments[ends[side]].first;
+        g->fragments[ends[side]].first = (int32_t)(2 * g->n_borders + side);
     }
-    return g->borders + *at;
+    g->n_borders++;
+    return made;
 }
 
 static const int AT[9] = {0, 1, 2, 1, 3, 4, 2, 4, 5}; /* of a symmetric matrix in its upper half */
@@ -371,7 +377,7 @@ static void measure(graph *g) {
             g->fragments[c->part].sum[OUTLINE] += 1.0, g->fragments[o->part].sum[OUTLINE] += 1.0;
             if (bend == bend) {
                 border *of = border_of(g, c->part, o->part);
-                const double before = (c->p[2] < o->p[2]) == (c->part == of->a) ? 1.0 : -1.0;
+                const double before = (c->p[2] < o->p[2]) == (c->part == of->of[0]) ? 1.0 : -1.0;
                 const int step = bend == STEP;
                 const float even = bend > FULL ? FULL : bend < -FULL ? -FULL : bend;
                 of->sum[LENGTH] += 1.0, of->sum[BENT] += even < 0.0f ? 0.0f : even, of->sum[UNEVEN] += even * even, of->sum[SHARP] += bend > (float)g->s[BEND];
@@ -497,8 +503,8 @@ static void derive(const double *s, shape *is) {
 /* Features of two fragments, from which the trees predict whether they are one object: of their border, of the smaller and the
  * larger one, and of both together [m, share]. */
 static void describe(const graph *g, const border *of, double *x) {
-    const int swap = g->fragments[of->a].sum[AREA] < g->fragments[of->b].sum[AREA];
-    const fragment *large = g->fragments + (swap ? of->b : of->a), *small = g->fragments + (swap ? of->a : of->b), *both[2] = {small, large};
+    const int swap = g->fragments[of->of[0]].sum[AREA] < g->fragments[of->of[1]].sum[AREA];
+    const fragment *large = g->fragments + of->of[swap], *small = g->fragments + of->of[!swap], *both[2] = {small, large};
     const double *b = of->sum, *t = g->s + PLANE, sign = swap ? 1.0 : -1.0, length = b[LENGTH] > 0.0 ? b[LENGTH] : 1.0;
     const double firm = b[LENGTH] > b[STEPS] ? b[LENGTH] - b[STEPS] : 1.0, side = sqrt(small->sum[AREA] / small->sum[CELLS]);
     double sum[SUMS], turn[3], away[3], beside[3];
@@ -535,6 +541,7 @@ static void describe(const graph *g, const border *of, double *x) {
     *x++ = top - high, *x++ = high - bottom, *x++ = high / fmax(top, 0.005), *x++ = dot(small->is.n, at) - dot(small->is.n, apart), *x++ = dot(large->is.n, at);
     *x++ = (dot(all.n, at) - dot(at, apart) / far * dot(all.n, apart)) / sqrt(far), *x++ = all.out / sqrt(sum[AREA]);
     *x++ = (all.out - (small->is.out * small->sum[SEEN] + large->is.out * large->sum[SEEN]) / seen) / sqrt(sum[AREA]);
+    *x++ = side, *x++ = g->s[NOISE] * side / (g->s[PITCH] * g->s[PITCH]); /* of a cell, and deviation of its depth by its side */
 }
 
 /* JOINING. Rates a border by trees: log odds that its fragments are one object. With room for it, the row is kept for learning, after the
@@ -543,7 +550,7 @@ static void rate(graph *g, border *of) {
     double x[FEATURES + 2] = {0.0};
     const int64_t inner = ((int64_t)1 << g->trees->depth) - 1, size = 3 * inner + 1;
     for (int k = 0; k < 2; k++) {
-        fragment *f = g->fragments + (k ? of->b : of->a);
+        fragment *f = g->fragments + of->of[k];
         x[k] = (double)((f->seed / g->w * g->k + g->k / 2) * g->w * g->k + f->seed % g->w * g->k + g->k / 2);
         if (!f->known) {
             derive(f->sum, &f->is);
@@ -551,7 +558,7 @@ static void rate(graph *g, border *of) {
         }
     }
     describe(g, of, x + 2);
-    of->score = of->sum[LENGTH] > 0.0 && of->sum[BENT] < of->sum[LENGTH] * g->s[BEND] ? SMOOTH : 0.0, of->rated = 1;
+    of->score = of->sum[LENGTH] > 0.0 && of->sum[BENT] < of->sum[LENGTH] * g->s[BEND] ? SMOOTH : 0.0;
     for (const float *tree = g->trees->nodes; tree < g->trees->nodes + g->trees->count * size; tree += size) {
         int64_t at = 0;
         while (at < inner) {
@@ -565,70 +572,108 @@ static void rate(graph *g, border *of) {
     g->counts[RATED]++;
 }
 
-/* Joins b to a, which is rated by log odds: their sums, and their borders with others. */
+/* Adds border `from` to another one, `turned` if their first fragments differ, and drops it. */
+static void add_border(graph *g, border *to, border *from, int turned) {
+    from->sum[BEFORE] = turned ? -from->sum[BEFORE] : from->sum[BEFORE], from->sum[STEPPED] = turned ? -from->sum[STEPPED] : from->sum[STEPPED];
+    for (int j = 0; j < EDGES; j++) {
+        to->sum[j] += from->sum[j];
+    }
+    from->of[0] = from->of[1] = 0;
+    g->keys[from - g->borders] = -INFINITY;
+}
+
+/* Joins fragment b to a, which is rated by log odds: their sums, and their borders with others. */
 static void join_pair(graph *g, int32_t a, int32_t b, double score) {
     fragment *to = g->fragments + a, *from = g->fragments + b;
     to->accepted = fmin(score, fmin(to->accepted, from->accepted));
     to->known = 0, to->seed = from->sum[CELLS] > to->sum[CELLS] ? from->seed : to->seed;
     to->top = to->top > from->top ? to->top : from->top, to->bottom = to->bottom < from->bottom ? to->bottom : from->bottom;
+    from->to = a;
     for (int k = 0; k < SUMS; k++) {
         to->sum[k] += from->sum[k];
     }
-    for (int64_t i = 1; i <= g->n_fragments; i++) {
-        g->fragments[i].to = g->fragments[i].to == b ? a : g->fragments[i].to;
-        g->fragments[i].first = -1; /* from here on: the border of a with this one */
+    int32_t *last = &to->first; /* borders that are gone leave the list of a */
+    for (int32_t at; (at = *last) >= 0;) {
+        border *of = g->borders + at / 2;
+        if (of->of[0] && of->of[!(at & 1)] != b) {
+            g->met[of->of[!(at & 1)]] = at;
+            last = &of->next[at & 1];
+        } else {
+            *last = of->next[at & 1];
+        }
     }
-    int64_t kept = 0;
-    for (int64_t k = 0; k < g->n_borders; k++) {
-        border of = g->borders[k];
-        of.a = of.a == b ? a : of.a, of.b = of.b == b ? a : of.b;
-        if (of.a == of.b) {
-            to->sum[OUTLINE] -= 2.0 * of.sum[LENGTH], to->sum[TOUCH] -= 2.0 * of.sum[LENGTH];
+    for (int32_t at = from->first, next; at >= 0; at = next) {
+        border *of = g->borders + at / 2;
+        const int side = at & 1;
+        const int32_t other = of->of[!side];
+        next = of->next[side];
+        if (!of->of[0]) {
             continue;
         }
-        if (of.a > of.b) {
-            const int32_t first = of.b;
-            of.b = of.a, of.a = first, of.sum[BEFORE] = -of.sum[BEFORE], of.sum[STEPPED] = -of.sum[STEPPED];
-        }
-        const int32_t other = of.a == a ? of.b : of.b == a ? of.a : 0;
-        const int64_t same = other ? g->fragments[other].first : -1;
-        of.rated = other ? 0 : of.rated;
-        for (int j = 0; j < EDGES && same >= 0; j++) {
-            g->borders[same].sum[j] += of.sum[j];
-        }
-        if (same < 0) {
-            g->fragments[other].first = (int32_t)kept;
-            g->borders[kept++] = of;
+        if (other == a) {
+            to->sum[OUTLINE] -= 2.0 * of->sum[LENGTH], to->sum[TOUCH] -= 2.0 * of->sum[LENGTH];
+            of->of[0] = of->of[1] = 0, g->keys[at / 2] = -INFINITY;
+        } else if (g->met[other] >= 0) {
+            add_border(g, g->borders + g->met[other] / 2, of, (g->met[other] & 1) != side);
+        } else {
+            of->of[side] = a, of->next[side] = to->first, to->first = at;
         }
     }
-    g->n_borders = kept;
+    for (int32_t at = to->first; at >= 0; at = g->borders[at / 2].next[at & 1]) {
+        g->met[g->borders[at / 2].of[!(at & 1)]] = -1;
+    }
 }
 
-/* The two fragments that a pass joins next, NULL if none are left: tiny ones across the border that bends least, across a step
- * only where nothing else is beside them; the pair that is rated highest, while that is as one object; at last the small parts. */
-static const border *next_to_join(graph *g, int pass) {
-    const border *best = NULL;
-    double most = pass == RATED_ONES ? g->s[SAME] : -INFINITY;
-    for (border *of = g->borders; of < g->borders + g->n_borders; of++) {
-        const double *a = g->fragments[of->a].sum, *b = g->fragments[of->b].sum;
-        const int tiny = a[CELLS] < TINY || b[CELLS] < TINY, small = a[AREA] < g->s[PART_M2] || b[AREA] < g->s[PART_M2];
-        if (pass != TINY_ONES && !of->rated) {
-            rate(g, of);
-        }
-        const double score = pass == TINY_ONES ? -(of->sum[BENT] + of->sum[STEPS]) / of->sum[LENGTH] : of->score;
-        if (score > most && (pass == RATED_ONES || (of->sum[LENGTH] > 0.0 && (pass == TINY_ONES ? tiny : small)))) {
-            most = score, best = of;
-        }
+/* How soon a pass joins the fragments of a border, -INFINITY for never: tiny ones across the border that bends least, across a step only
+ * where nothing else is beside them; the pair that is rated highest, while that is as one object; at last the small parts. */
+static double key_of(graph *g, border *of, int pass) {
+    const double *a = g->fragments[of->of[0]].sum, *b = g->fragments[of->of[1]].sum;
+    const int tiny = a[CELLS] < TINY || b[CELLS] < TINY, small = a[AREA] < g->s[PART_M2] || b[AREA] < g->s[PART_M2];
+    if (pass == TINY_ONES) {
+        return of->sum[LENGTH] > 0.0 && tiny ? -(of->sum[BENT] + of->sum[STEPS]) / of->sum[LENGTH] : -INFINITY;
     }
-    return best;
+    return pass == RATED_ONES ? (of->score > g->s[SAME] ? of->score : -INFINITY) : (of->sum[LENGTH] > 0.0 && small ? of->score : -INFINITY);
 }
 
 static void join_all(graph *g) {
+    memset(g->met, -1, ((size_t)g->n_fragments + 1) * sizeof(int32_t));
     for (int pass = TINY_ONES; pass <= SMALL_ONES; pass++) {
-        for (const border *best; (best = next_to_join(g, pass));) {
-            g->counts[pass != RATED_ONES ? BY_SIZE : best->sum[LENGTH] > 0.0 ? BY_BORDER : BY_VIEW]++;
-            join_pair(g, best->a, best->b, pass == TINY_ONES ? INFINITY : best->score);
+        for (int64_t k = 0; k < g->n_borders; k++) {
+            border *of = g->borders + k;
+            if (of->of[0] && pass == RATED_ONES) {
+                rate(g, of);
+            }
+            g->keys[k] = of->of[0] ? key_of(g, of, pass) : -INFINITY;
         }
+        for (;;) {
+            int64_t best = -1;
+            double most = -INFINITY;
+            for (int64_t k = 0; k < g->n_borders; k++) {
+                if (g->keys[k] > most) {
+                    most = g->keys[k], best = k;
+                }
+            }
+            if (best < 0) {
+                break;
+            }
+            const border *of = g->borders + best;
+            const int32_t a = of->of[0], b = of->of[1];
+            g->counts[pass != RATED_ONES ? BY_SIZE : of->sum[LENGTH] > 0.0 ? BY_BORDER : BY_VIEW]++;
+            join_pair(g, a, b, pass == TINY_ONES ? INFINITY : of->score);
+            for (int32_t at = g->fragments[a].first; at >= 0; at = g->borders[at / 2].next[at & 1]) {
+                if (pass != TINY_ONES) {
+                    rate(g, g->borders + at / 2);
+                }
+                g->keys[at / 2] = key_of(g, g->borders + at / 2, pass);
+            }
+        }
+    }
+    for (int64_t i = 1; i <= g->n_fragments; i++) { /* each joined one that has joined another one */
+        int32_t to = g->fragments[i].to;
+        while (g->fragments[to].to != to) {
+            to = g->fragments[to].to;
+        }
+        g->fragments[i].to = to;
     }
     for (int64_t i = 0; i < g->n; i++) {
         g->cells[i].part = g->fragments[g->cells[i].part].to;
@@ -641,7 +686,7 @@ static void find_sole_parts(graph *g) {
         for (int64_t j = 0; j < g->w; j++) {
             cell *c = g->cells + i * g->w + j;
             c->inside = c->part;
-            for (int64_t y = i ? i - 1 : 0; y <= i + 1 && y < g->h; y++) {
+            for (int64_t y = i ? i - 1 : 0; c->part && y <= i + 1 && y < g->h; y++) {
                 for (int64_t x = j ? j - 1 : 0; x <= j + 1 && x < g->w; x++) {
                     const int32_t part = g->cells[y * g->w + x].part;
                     c->inside = part && part != c->part ? 0 : c->inside;
@@ -706,8 +751,9 @@ static void write_joins(const graph *g, double *joins) {
         }
     }
     for (const border *of = g->borders; of < g->borders + g->n_borders; of++) {
-        double *a = joins + names[of->a - 1] * JOINS, *b = joins + names[of->b - 1] * JOINS;
-        if (names[of->a - 1] && names[of->b - 1]) {
+        const int32_t first = of->of[0] ? names[of->of[0] - 1] : 0, second = of->of[0] ? names[of->of[1] - 1] : 0;
+        double *a = joins + first * JOINS, *b = joins + second * JOINS;
+        if (first && second) {
             a[REFUSED] = fmax(a[REFUSED], of->score), b[REFUSED] = fmax(b[REFUSED], of->score);
         }
     }
@@ -730,11 +776,11 @@ VECTORISED void split_clusters(const Labelled *of, int64_t k, const double *sett
         make_normals(&g);
         make_bends(&g);
         make_fragments(&g);
-        g.fragments = malloc(((size_t)g.n_fragments + 1) * sizeof(fragment) + (4 * n + 1) * sizeof(border));
+        g.fragments = malloc(((size_t)g.n_fragments + 1) * (sizeof(fragment) + sizeof(double)) + (4 * n + 1) * (sizeof(border) + sizeof(double)));
     }
     counts[PARTS] = -1;
     if (g.fragments) {
-        g.borders = (border *)(g.fragments + g.n_fragments + 1);
+        g.borders = (border *)(g.fragments + g.n_fragments + 1), g.keys = (double *)(g.borders + 4 * n + 1), g.met = (int32_t *)(g.keys + 4 * n + 1);
         measure(&g);
         look_behind(&g);
         join_all(&g);

@@ -51,8 +51,12 @@ _TRAINED: Final[_Fields] = {
 OWN: Final = "own"
 """Kind of a model whose predictor is code of the user."""
 
+NETWORKS: Final = "networks"
+"""Kind of a model of several networks, for different modalities."""
+
 KINDS: Final[Mapping[str, _Fields]] = {
     "network": {**_TRAINED, "familiar": (dict, type(None))},
+    NETWORKS: {**_TRAINED, "familiar": {"*": (dict, type(None))}},
     "contact": {**_TRAINED, "ranges": dict},
     OWN: {**_TRAINED, "predictor": str},
     "hold": _TRAINED,

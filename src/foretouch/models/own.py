@@ -4,13 +4,14 @@
 The user names the code, as `module:attribute` or as an entry point of the group `foretouch.models`. A card only states
 which code it was made of; nothing that a card names is imported.
 
-The weights hold what the predictor has learned (`to_tensors`), and what it answered to one made-up cloud. A predictor that
+The weights hold what the predictor has learned, and what it answered to one made-up cloud. A predictor that
 answers otherwise when the model is loaded is refused, since the intervals are not of its errors.
 """
 
 import inspect
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -42,7 +43,8 @@ def find_predictor(predictor: Any, learned: Mapping[str, AnyArray] | None = None
         predictor: A predictor; a class or function that makes one, which is called without arguments; or the name of either,
             `module:attribute` or an entry point of the group `foretouch.models`. Modules are also looked for in the
             current folder.
-        learned: Arrays of `to_tensors`, which a class with `from_tensors` makes a predictor of.
+        learned: What a saved predictor had learned, by name. A class with `from_tensors` makes a predictor of it; of
+            another they become attributes. A predictor that is passed keeps its own.
 
     Raises:
         ModelError: If there is no such code, it fails, or it makes no predictor.
@@ -56,6 +58,8 @@ def find_predictor(predictor: Any, learned: Mapping[str, AnyArray] | None = None
             found = found.from_tensors(learned)
         elif isinstance(found, type) or (callable(found) and not hasattr(found, "estimate")):
             found = found()
+            for key, array in (learned or {}).items():
+                setattr(found, key, array)
     except ModelError:
         raise
     except (Exception, SystemExit) as err:
@@ -110,10 +114,10 @@ def save_own(
     """Write the model of an own predictor and return the path of its card; see `save_model`."""
     tensors = {_LEARNED + name: value for name, value in _learned(predictor).items()}
     facts = {"config": {}, "predictor": name_of(predictor), **facts}
-    sensor = card_sensor(facts, card_path)
     plain = TouchModel(predictor, {**facts, "kind": OWN, "name": card_path.stem, "sha256": ""})
-    if (answered := _answer(plain)) is not None and answered.shape[1] == sensor.channels.size:
-        tensors[_ANSWERED] = answered
+    with suppress(Exception):  # it may refuse a cloud that is not of a camera
+        if np.isfinite(answered := _answer(plain)).all():
+            tensors[_ANSWERED] = answered
     return save_model(card_path, OWN, tensors, facts, calibration)
 
 
@@ -131,7 +135,8 @@ def load_model(card_path: Path, card: Mapping[str, Any], predictor: Any = None) 
     calibration, _ = load_calibration(card_path, card, channels)
     weights, tensors = read_tensors(card_path, card)
     model = TouchModel(find_predictor(predictor, under(_LEARNED, tensors)), card, calibration)
-    if _ANSWERED in tensors and (answered := _answer(model)) is not None:
+    if _ANSWERED in tensors:
+        answered = _answer(model)
         allowed = 1e-6 * np.abs(tensors[_ANSWERED]) + channels.resolution
         if calibration is not None:
             allowed = _SAME * calibration.groups["new"].half_width
@@ -142,18 +147,19 @@ def load_model(card_path: Path, card: Mapping[str, Any], predictor: Any = None) 
 
 
 def _learned(predictor: Predictor) -> dict[str, AnyArray]:
-    """Return the arrays of a predictor that has some."""
+    """Return the arrays of `to_tensors`; of a predictor without it, the arrays among its attributes."""
     to_tensors = getattr(predictor, "to_tensors", None)
     if to_tensors is None:
-        return {}
+        own = getattr(predictor, "__dict__", {})
+        return {name: value for name, value in own.items() if isinstance(value, np.ndarray) and value.dtype != object}
     try:
         return {str(name): np.asarray(value) for name, value in to_tensors().items()}
     except Exception as err:
         raise ModelError(f"predictor: {name_of(predictor)}: to_tensors: {described(err)}") from err
 
 
-def _answer(model: TouchModel) -> Float64 | None:
-    """Return (2, D) what a model answers to two grasps on a can that stands below the camera; None if it refuses them."""
+def _answer(model: TouchModel) -> Float64:
+    """Return (2, D) what a model answers to two grasps on a can that stands below the camera."""
     turn, height = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False), np.linspace(0.0, 0.1, 20))
     x, y = 0.033 * np.cos(turn), 0.033 * np.sin(turn)
     xyz = np.stack([x, y, 1.2 - height], axis=-1).reshape(-1, 3).astype(np.float32)
@@ -161,8 +167,4 @@ def _answer(model: TouchModel) -> Float64 | None:
     middle, reach = np.array([0.0, 0.0, 1.15]), np.array([[0.034, 0.0, 0.0], [0.0, 0.034, 0.0]])
     turned = np.array([hand_rotation(middle + one, middle - one, np.array([0.0, 0.0, 1.0])) for one in reach])
     grasps = Grasps(middle + reach, middle - reach, turned)
-    try:
-        counts = model.estimate(cloud, grasps).counts
-    except Exception:  # noqa: BLE001  it may refuse a cloud that is not of a camera
-        return None
-    return counts if np.isfinite(counts).all() else None
+    return model.estimate(cloud, grasps).counts

@@ -9,8 +9,8 @@ A predictor may have more, all of it optional:
 
 - `fit(samples)` fits it to labelled samples. It is then fitted again without the samples of each fold, where it is calibrated
   and evaluated.
-- `to_tensors()` returns what it has learned, as NumPy arrays by name, and the class method `from_tensors(tensors)` makes a
-  predictor of them. They are saved with the model, and nothing is pickled.
+- NumPy arrays among its attributes are saved with the model and set again when it is loaded; nothing is pickled. For other
+  data, `to_tensors()` returns arrays by name, and the class method `from_tensors(tensors)` makes a predictor of them.
 - `ranges` are the `Ranges` outside which a value is flagged `out_of_range`; by default those of the sensor.
 """
 

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find a model by name, path or model folder, and load it; torch is imported when the first network is loaded."""
 
+import tempfile
+import weakref
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -13,6 +16,12 @@ from foretouch.models.card import CARD_FORMAT, OWN, read_card
 from foretouch.models.touch_model import TouchModel
 
 DEFAULT_MODEL: Final = "contact-v3"
+MODEL_WORDS: Final = "Name of a model, or path of its card, weights or model folder; several with commas between them, of networks that are joined"
+PREDICTOR_WORDS: Final = (
+    "Predictor of a model of your own, whose code is imported: module:attribute, or an entry point of foretouch.models"
+)
+"""What the settings of the model and of its predictor are."""
+
 SIMULATED_HAND_MODEL: Final = "simulated"
 """The model of scenes with a simulated hand."""
 
@@ -23,11 +32,11 @@ def available_models() -> list[str]:
 
 
 def load_model(name_or_path: str | Path = "default", predictor: Any = None) -> TouchModel:
-    """Load a model that comes with the package, or one from a file or a model folder.
+    """Load a model that comes with the package, or one from a file or a model folder, or join networks for different modalities.
 
     Args:
         name_or_path: `default`, a name from `available_models`, the path of a card or of its weights, or the folder of
-            a finished run of `foretouch train`.
+            a finished run of `foretouch train`; or several of these with commas between them, whose networks are joined.
         predictor: Of a model of your own (`foretouch.calibrate`), the predictor, a class or function that makes it, or
             the name of either: `module:attribute`, or an entry point of the group `foretouch.models`.
 
@@ -35,7 +44,11 @@ def load_model(name_or_path: str | Path = "default", predictor: Any = None) -> T
         ModelError: If there is no such model, or it is damaged, or does not predict each modality; if a model of your own
             is loaded without its predictor, or another model with one.
     """
-    path = find_card(name_or_path)
+    path, *others = find_cards(name_or_path)
+    if others:
+        from foretouch.models.network.checkpoint import join
+
+        return temporary_model(lambda folder: join([path, *others], folder), predictor)
     card = read_card(path)
     if card["kind"] == "hold":
         raise ModelError(f"{shown(path)}: kind: predicts whether a grasp holds, and no touch")
@@ -45,13 +58,34 @@ def load_model(name_or_path: str | Path = "default", predictor: Any = None) -> T
         load: Callable[[Path, Mapping[str, Any]], TouchModel] = partial(load_own, predictor=predictor)
     elif predictor is not None:
         raise ModelError(f"{shown(path)}: kind: {card['kind']} has a predictor already; leave predictor out")
-    elif card["kind"] == "network":
-        from foretouch.models.network.checkpoint import load_model as load
-    else:
+    elif card["kind"] == "contact":
         from foretouch.models.contact.estimator import load_model as load
+    else:
+        from foretouch.models.network.checkpoint import load_model as load
     model = load(path, card)
     model.path = path
     return model
+
+
+def temporary_model(write: Callable[[Path], Path], predictor: Any = None) -> TouchModel:
+    """Return a model whose files are in a temporary folder that lives as long as it.
+
+    Args:
+        write: Writes the files to a folder, and returns the path of the card.
+        predictor: As of `load_model`.
+    """
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foretouch-model-")))
+        model = load_model(write(folder), predictor)
+        weakref.finalize(model, stack.pop_all().close)
+    return model
+
+
+def find_cards(name_or_path: str | Path) -> list[Path]:
+    """Paths of the cards of a model, of one or of several with commas between them; see `find_card`."""
+    parts = str(name_or_path).split(",")
+    one = len(parts) == 1 or _is_there(Path(name_or_path))
+    return [find_card(name_or_path)] if one else [find_card(part.strip()) for part in parts]
 
 
 def find_card(name_or_path: str | Path) -> Path:
@@ -92,6 +126,13 @@ def _card_in(folder: Path) -> Path:
             f"{folder}: is an unfinished run without a model card; `foretouch train --resume` completes it"
         )
     raise ModelError(f"{folder}: holds no model card (<name>.json), so it is not a model folder of `foretouch train`")
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name that no file can have
+        return False
 
 
 def _is_folder(path: Path) -> bool:

@@ -36,6 +36,8 @@ WINDOW_S: Final = 0.5  # over which the reference is computed [s]
 SETTLE_NS: Final = 300_000_000
 """From first to steady contact; a shorter one is a glitch or lost packets [ns]."""
 
+_SOON_NS: Final = 100_000_000  # after the onset, within which a contact differs from the readings before [ns]
+_DRIFTED: Final = 0.5  # score of a reference against the rest, above which the finger has drifted
 LAG_S: Final = 0.3  # between the reference and now: a slower contact is considered drift [s]
 LONGEST_S: Final = 120.0  # of a contact; longer ones are considered drift [s]
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
@@ -57,6 +59,7 @@ class SeriesContact(NamedTuple):
     end: int  # number of the first reading after it
     several: bool  # whether there are more, of which it is the longest
     drifted: bool  # whether the finger drifted out of its rest before, so that its reference had to follow
+    early: bool  # whether it began within the readings at rest
 
 
 class FingerContact:
@@ -214,20 +217,22 @@ def _contact_of(stamps_ns: Int64, values: Float64, rest: int, channels: Channels
     begin, drifted, found = rest, False, list[tuple[int, int]]()
     while (onset := _first_run(score > 1.0, begin)) < len(values):
         onset_ns = stamps_ns[onset]
-        first, last, soon = np.searchsorted(stamps_ns, [onset_ns - lag - window, onset_ns - lag, onset_ns + lag])
+        first, last, soon = np.searchsorted(stamps_ns, [onset_ns - lag - window, onset_ns - lag, onset_ns + _SOON_NS])
         recent, after = values[first:last], values[onset : max(soon, onset + _CONFIRM)]
         if len(recent) >= _CONFIRM:
             reference = np.median(recent, axis=0)
             if _first_run(scores(after, reference) > 1.0, 0) == len(after):
-                score, begin, drifted = scores(values, reference), onset, True
+                drifted |= bool(scores(reference, np.median(values[:rest], axis=0)) > _DRIFTED)
+                score, begin = scores(values, reference), onset
                 continue
         begin = _first_run(score < RELEASE_LEVEL, onset)
         if begin == len(values) or stamps_ns[begin] - onset_ns >= SETTLE_NS:
             found.append((onset, begin))
     if not found:
-        return SeriesContact(None, 0, several=False, drifted=drifted)
+        return SeriesContact(None, 0, several=False, drifted=drifted, early=False)
     onset, end = max(found, key=lambda pair: int(stamps_ns[pair[1] - 1] - stamps_ns[pair[0]]))
-    return SeriesContact(onset, end, several=len(found) > 1, drifted=drifted)
+    early = onset == rest and bool(score[rest - 1] > 1.0)
+    return SeriesContact(onset, end, several=len(found) > 1, drifted=drifted, early=early)
 
 
 def _first_run(true: Bool, begin: int) -> int:

@@ -221,7 +221,10 @@ def _as_float32(xyz: Any) -> Float32:
     if array.dtype.kind not in "fiu":
         raise CloudError(f"xyz: dtype {array.dtype} is not of numbers")
     with np.errstate(over="ignore"):
-        return array.astype(np.float32)
+        points = array.astype(np.float32)
+    if isinstance(xyz, np.ma.MaskedArray) and points.ndim:
+        points[np.isnan(points).any(axis=-1)] = np.nan  # masked in one coordinate
+    return points
 
 
 def _check_header(frame_id: object, stamp_ns: object) -> None:

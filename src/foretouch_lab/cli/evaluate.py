@@ -5,7 +5,7 @@ import argparse
 from collections.abc import Mapping
 from typing import Any, Final
 
-from foretouch.cli.inputs import seed_number
+from foretouch.cli.inputs import add_options, seed_number
 from foretouch.cli.output import announce, print_json, print_table, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.tactile.description import named_taxels
@@ -21,7 +21,12 @@ _SCORED: Final = {
 
 def add_arguments(parser: CommandParser) -> None:
     """Declare model, dataset, and the split for the baselines."""
-    parser.add_argument("model", metavar="MODEL", help="name of a model, or path of its card, weights or model folder")
+    parser.add_argument(
+        "model",
+        metavar="MODEL",
+        help="name of a model, or path of its card, weights or model folder; networks are joined by commas",
+    )
+    add_options(parser, "--predictor")
     parser.add_argument("dataset", metavar="DATASET", help="recorded dataset, training store or vision2tactile folders")
     parser.add_argument(
         "--split",
@@ -41,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; the exit status is 0 whatever the scores."""
     announce(f"reading {arguments.dataset}, fitting the baselines, predicting")
     data = load_dataset(arguments.dataset)
-    options = {"seed": arguments.seed, "training_scores": arguments.training_scores}
+    options = {"seed": arguments.seed, "training_scores": arguments.training_scores, "predictor": arguments.predictor}
     result = evaluate_model(arguments.model, data, arguments.split, **options)
     scores = dict(result["scores"])
     facts = {name: value for name, value in result.items() if name != "scores"}

@@ -92,6 +92,23 @@ def test_a_table_that_the_image_cuts_off_goes_on_beyond_it() -> None:
     assert reasons(found, labels) == {4: "enters_view"}
 
 
+def test_what_the_image_cuts_and_stands_on_the_table_is_an_object_and_no_target_beside_whole_ones() -> None:
+    """Its foot is seen; that of a thing before the lower border is not, but its front is, down to half of its height and more."""
+    beside, before = ((0.20, 0.0, 0.0), (0.34, 0.08, 0.08)), ((-0.04, -0.27, 0.0), (0.04, -0.18, 0.12))
+    for cut, tilt in ((beside, 40.0), (before, 50.0)):
+        cloud, labels = room(CAN, cut, tilt_deg=tilt, distance_m=0.6)
+        border = np.concatenate([labels[[0, -1]].ravel(), labels[:, [0, -1]].ravel()])
+        assert (border == 4).sum() > 10
+        scene = Pipeline().segment(cloud)
+        assert labelled(scene, labels) == [3, 4]
+        flags = {int(np.bincount(labels.ravel()[one.pixels]).argmax()): one.flags for one in scene.objects}
+        assert flags == {3: (), 4: ("cut_by_image",)}
+        (target,) = scene.targets
+        assert target.flags == ()
+        alone = Pipeline().segment(room(cut, tilt_deg=tilt, distance_m=0.6)[0])
+        assert [one.flags for one in alone.targets] == [("cut_by_image",)]
+
+
 def test_what_stands_behind_the_edge_of_the_table_is_beyond_it() -> None:
     chair = ((-0.15, 0.50, -0.7), (0.10, 0.60, 0.10))  # on the floor, as high as the table and a little more
     cloud, labels = room(CAN, chair, tilt_deg=45.0, distance_m=1.0)
@@ -115,6 +132,15 @@ def test_the_sides_of_a_bin_are_walls_and_what_lies_in_it_are_objects(tilt: floa
     assert labelled(found, labels) == [3, 4]
     assert set(reasons(found, labels).values()) == {"wall"}
     assert set(reasons(found, labels)) <= {5, 6, 7, 8}
+
+
+@pytest.mark.parametrize("tilt", [10.0, 25.0])
+def test_what_touches_the_side_of_a_bin_is_no_side(tilt: float) -> None:
+    against = ((0.105, -0.05, 0.0), (0.195, 0.02, 0.06)), ((-0.08, 0.07, 0.0), (0.0, 0.155, 0.05))
+    cloud, labels = room(*against, *(side for side in BIN), tilt_deg=tilt, noise_m=0.001)
+    found = segment(cloud)
+    assert labelled(found, labels) == [3, 4]
+    assert set(reasons(found, labels).values()) == {"wall"}
 
 
 def test_of_several_planes_the_chosen_one_carries_the_objects() -> None:

@@ -25,7 +25,7 @@ def _pile(*solids: tuple, yaw: float = 0.0) -> Cloud:
 
 
 def _scene(cloud: Cloud, mode: str) -> Scene:
-    return Pipeline(PipelineConfig().updated({"target.mode": mode})).segment(cloud)
+    return Pipeline(PipelineConfig().updated({"target.mode": mode, "target.confidence_margin": 1.0})).segment(cloud)
 
 
 _ENCLOSED = ((_BOX, -0.06, 0.0), (_WALL, -0.03, 0.0575), (_WALL, -0.03, -0.0575))  # the box is nearest to the camera

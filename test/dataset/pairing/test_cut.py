@@ -178,6 +178,7 @@ def test_what_is_no_steady_contact_is_flagged_or_no_touch() -> None:
     check(lambda t: 100.0 * (1.0 - np.exp(-t)), "no_contact", "drift", has_touch=False)
     check(lambda t: 100.0 * np.maximum(t - 0.8, 0.0), "drift", has_touch=True)
     check(lambda t: step(t, 1.2, 1.4), "no_contact", has_touch=False)  # a tap
+    check(lambda t: step(t, 0.7), "contact_in_rest", has_touch=True)
     check(lambda t: step(t, 1.2, 1.8) + step(t, 2.4), "several_contacts", has_touch=True)
     one = labelled(step, right=lambda t: 0.0 * t)
     assert dict(one.flags) == {"no_contact_right": "right is not in contact"}

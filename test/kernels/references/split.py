@@ -22,12 +22,13 @@ class Split:
         labels: (H, W) clusters, 0 for none.
         solid: (H, W) pixels with a reliable depth.
         k: Pixels of a cell's side.
-        settings: Angle [rad], step [m], smallest part [m2], least log odds, plane (4), pitch of the cells.
+        settings: Angle [rad], step [m], smallest part [m2], least log odds, plane (4), pitch of the cells, noise [1/m].
     """
 
     def __init__(self, xyz: Array, labels: Array, solid: Array, k: int, settings: Array) -> None:
         self.k, self.xyz, self.labels = k, xyz.astype(np.float64), labels
         self.angle, self.step, self.least_m2, self.table, self.pitch = *settings[:3], settings[4:8], settings[8]
+        self.noise = settings[9]
         h, w = (-(-size // k) for size in labels.shape)
         self.p, self.d, self.cluster = np.full((h, w, 3), np.nan), np.full((h, w), np.nan), np.zeros((h, w), int)
         for at in np.ndindex(h, w):
@@ -261,7 +262,8 @@ class Split:
         valley = (both["normal"] @ at - (at @ apart) / far * (both["normal"] @ apart)) / np.sqrt(far)
         found += [one["normal"] @ at - one["normal"] @ apart, two["normal"] @ at, valley]
         out = (one["out"] * one["seen"] + two["out"] * two["seen"]) / max(1, one["seen"] + two["seen"])
-        return [*found, both["out"] / np.sqrt(size), (both["out"] - out) / np.sqrt(size)]
+        found += [both["out"] / np.sqrt(size), (both["out"] - out) / np.sqrt(size)]
+        return [*found, side, self.noise * side / self.pitch**2]
 
     def shape(self, of: Array) -> dict[str, Any]:
         """The shape of cells; the axis that their normals meet is that of a linear complex of lines (Pottmann, Randrup 1998)."""

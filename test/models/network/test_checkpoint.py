@@ -81,7 +81,7 @@ def test_wrong_cards_and_what_is_none_are_named(card: Path, make_net, small, tmp
     cases = [
         ("tiny.json: format: is not a foretouch-model card", {"format": "other"}),
         ("format_version: 1 is not 2", {"format_version": 1}),
-        ("kind: 'tree' is not one of network, contact", {"kind": "tree"}),
+        ("kind: 'tree' is not one of network, networks, contact", {"kind": "tree"}),
         ("skill: is missing", {"skill": ...}),
         ("config: widht: unknown setting; known: n_points", {"config": {"widht": 3}}),
         (r"head.1.linear.bias: .*\(8,\) is not .*\(9,\)", {"config": {**config, "head_widths": [16, 9]}}),

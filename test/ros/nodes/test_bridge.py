@@ -49,7 +49,7 @@ def subscribed(graph, node, client, *topics):
 def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, monkeypatch):
     sensor = packaged_sensor("xela_uskin_4x4")
     model = constant_model(sensor, counted(sensor))
-    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda _: model)
+    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda *_: model)
     heard = graph.listen(TouchPredictionArray, "touch")
     _, bridge = graph.add("perception", "bridge", port=0, cloud_kb=100_000)  # whole clouds
     publisher = graph.talk(PointCloud2, "points")

@@ -53,7 +53,7 @@ def test_the_simulated_hand_sends_it_the_predictor_adapts_to_it_and_its_grasps_a
     sensor = packaged_sensor("xela_uskin_4x4")
     rest = run(config).tare.values
     model = constant_model(sensor, rest, make_calibration(0, sensor.channels, rest))
-    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda _: model)
+    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda *_: model)
     monkeypatch.setattr("foretouch.models.history_keeper.HistoryKeeper.changed", lambda _: None)
     messages = graph.listen(SensStream, HAND)
     (hand,) = graph.add("hand", scene__path=str(path), scene__samples=1, **SHORT)

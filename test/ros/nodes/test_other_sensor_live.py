@@ -28,7 +28,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     sensor = packaged_sensor("xela_uskin_4x4")
     calibration = make_calibration(0, sensor.channels, counted(sensor))
     model = constant_model(sensor, counted(sensor), calibration)
-    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda _: model)
+    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda *_: model)
     monitor = MonitorNode(sensor=sensor)
     graph.serve(monitor)
     node, send, _ = predictor()

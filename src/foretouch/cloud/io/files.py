@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.cloud.io.arrays import read_array, read_arrays
+from foretouch.cloud.io.arrays import array_names, read_array, read_arrays
 from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.images import IMAGE_SUFFIXES, read_image
 from foretouch.cloud.io.point_files import pcd_bytes, ply_bytes, read_pcd, read_ply
@@ -100,6 +100,14 @@ def _read(path: Path, suffix: str, camera: DepthCamera) -> Cloud:
     if suffix == ".npy":
         return Cloud(_coordinates(path, array))
     return archived_cloud(path, read_arrays(path, ["xyz"], _OPTIONAL))
+
+
+def holds_points(path: Path) -> bool:
+    """Return whether a file holds points by its ending or the names in it; of a `.npy`, reading shows."""
+    suffix = path.suffix.lower()
+    return suffix in _READERS or (
+        suffix == ".npz" and ("xyz" in (names := {*array_names(path)}) or not names & _PER_METRE.keys())
+    )
 
 
 def archived_cloud(path: Path, arrays: Mapping[str, AnyArray]) -> Cloud:

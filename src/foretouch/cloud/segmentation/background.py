@@ -12,12 +12,13 @@ image, with its holes and the dents that things leave which hide it. Other parts
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from foretouch.cloud.segmentation.clusters import Clusters, CoarseGrid, HeightThreshold
+from foretouch.cloud.segmentation.clusters import LOCAL_FACTOR, Clusters, CoarseGrid, HeightThreshold
 from foretouch.kernels import Kernel, struct
-from foretouch.types import Float64, Int64
+from foretouch.types import Float64, Int64, UInt8
 
 _find = Kernel("find_background")
 
@@ -27,23 +28,28 @@ REASONS = ("", ENTERS, "beyond_table", "floating", "wall")
 _LIMITS = {"level": 0.006, "below": 0.03, "foot": 0.03, "flat": 0.01, "border": 0.17}
 
 
+class Background(NamedTuple):
+    """What is background. Labels are counted on from one window to the next."""
+
+    reasons: Int64  # (n,) the index in `REASONS` of each label; 0 for what stands on the table
+    cut: UInt8  # (n,) whether the border of the image cuts it
+    outline: Float64  # (m, 3) outline of the table [m], empty if it is not seen
+
+
 def find_background(
     grid: CoarseGrid, windows: Sequence[Clusters], threshold: HeightThreshold, *, hidden: bool = False
-) -> tuple[Int64, Float64]:
-    """Find why parts are background.
+) -> Background:
+    """Find why parts are background, and which the image cuts.
 
     Args:
         grid: Coarse grid of the image.
         windows: Labelled windows of the image.
         threshold: The table, and the noise of the depth.
         hidden: The table is not seen: it has no outline, and nothing is background.
-
-    Returns:
-        The index in `REASONS` of each label, counted on from one window to the next, and the (n, 3) outline of the table [m],
-        empty if it is not seen.
     """
     if hidden:
-        return np.zeros(1 + sum(window.n_labels for window in windows), np.int64), np.empty((0, 3))
+        count = 1 + sum(window.n_labels for window in windows)
+        return Background(np.zeros(count, np.int64), np.zeros(count, np.uint8), np.empty((0, 3)))
     (h, w), plane = grid.points.shape[:2], threshold.plane.coefficients
     labels, count = np.zeros((h, w), np.int32), 1
     for window in windows:
@@ -52,10 +58,16 @@ def find_background(
         view = labels[at][: part.shape[0], : part.shape[1]]
         np.copyto(view, part + np.int32(count - 1), where=part > 0)
         count += window.n_labels
-    reasons, n_corners = np.zeros(count, np.int64), np.empty(1, np.int64)
-    outline = np.empty((4 * h + 2, 3))
+    background = Background(np.zeros(count, np.int64), np.zeros(count, np.uint8), np.empty((4 * h + 2, 3)))
+    n_corners = np.empty(1, np.int64)
     image = {"grid": grid.points, "labels": labels, "h": h, "w": w, "n": count, "pitch": grid.pitch}
-    _find(struct("Parts", **image, plane=plane, noise=threshold.noise_per_m, **_LIMITS), reasons, outline, n_corners)
+    _find(
+        struct("Parts", **image, plane=plane, noise=LOCAL_FACTOR * threshold.local_per_m, **_LIMITS),
+        background.reasons,
+        background.cut,
+        background.outline,
+        n_corners,
+    )
     if n_corners[0] < 0:
         raise MemoryError("find_background")
-    return reasons, outline[: n_corners[0]]
+    return background._replace(outline=background.outline[: n_corners[0]])

@@ -31,13 +31,16 @@ from foretouch.types import Bool, Float32, Float64, Int32, Int64, Plane
 
 _grid_patches = Kernel("grid_patches")
 _label_window = Kernel("label_window")
+_residuals = Kernel("window_residuals")
 
 NOISE_FACTOR = 2.5  # standard deviations of the depth noise, within which points belong to the table
+LOCAL_FACTOR = 4.0  # times the noise of the plainest windows, where objects and the table meet
 CLOSE_SLOPE = (
     5.0  # depth per lateral distance up to which neighbouring pixels are connected: a face seen at 79 degrees,
 )
 MAX_SLOPE = 20.0  # and where one of them belongs to a small cluster: a sliver of a face seen at 87 degrees
 FLYING_SLOPE = 4.0  # beyond which a neighbour does not support a pixel; unsupported pixels are flying
+_APART = 6  # cells of the coarse grid from one window of noise to the next, as in `clusters.c`
 _VOXEL_M = np.float32(0.008)  # edge of the voxels that connect unorganised points
 
 
@@ -103,6 +106,8 @@ class HeightThreshold(NamedTuple):
     low_m: float  # minimum height [m]
     noise_per_m: float  # minimum height divided by z² [1/m]
     high_m: float  # maximum height [m]
+    depth_m: float  # median depth of the table [m]
+    local_per_m: float  # standard deviation of the depth in small windows, divided by z² [1/m]
 
 
 class CoarseGrid(NamedTuple):
@@ -185,6 +190,27 @@ def _settings(
             *([0.0] * 8 if rays is None else [1.0, *rays.numbers]),
         ]
     )
+
+
+def local_noise(grid: CoarseGrid, crop: CropConfig) -> float:
+    """Measure the noise of the depth where the surface is plainest.
+
+    Unlike the residual of the whole table, it does not grow with its waves, or with a board or a second level on it.
+
+    Args:
+        grid: Coarse grid of the image.
+        crop: Depth range.
+
+    Returns:
+        The s of the stereo noise sigma = s·z² [1/m], a little more than that of a quarter of the small windows of the grid;
+        0 without a window in range.
+    """
+    h, w = grid.points.shape[:2]
+    residuals, count = np.empty((h // _APART + 1) * (w // _APART + 1)), np.empty(1, np.int64)
+    _residuals(grid.points, h, w, crop.min_range_m, crop.max_range_m, residuals, count)
+    if not (found := int(count[0])):
+        return 0.0
+    return float(np.partition(residuals[:found], found // 4)[found // 4])
 
 
 def pixel_pitch(xyz: Float32) -> float:

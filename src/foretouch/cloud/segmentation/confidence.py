@@ -6,12 +6,12 @@ what should have been joined is a part, and the lowest of the joins that made it
 objects. Its weights (`whole_object.json`) are made by `python -m benchmarks.clutter.confidence`, from labelled images.
 """
 
-import json
 import math
 from functools import cache
 from pathlib import Path
 
 from foretouch.cloud.segmentation.clusters import Clusters
+from foretouch.files import read_json
 
 WEIGHTS = Path(__file__).with_name("whole_object.json")
 INPUTS = ("log_cells", "refused", "accepted")
@@ -21,7 +21,7 @@ _RANGES = ((0.0, 12.0), (-6.0, 1.0), (-2.0, 6.0))  # beyond which a number says 
 @cache
 def _weights() -> tuple[float, ...]:
     """Return the weights of the inputs, and the constant."""
-    weights = json.loads(WEIGHTS.read_text(encoding="utf-8"))["weights"]
+    weights = read_json(WEIGHTS)["weights"]
     return tuple(float(weights[name]) for name in (*INPUTS, "constant"))
 
 

@@ -8,13 +8,13 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from foretouch.cloud.segmentation.background import ENTERS, REASONS
+from foretouch.cloud.segmentation.background import ENTERS, REASONS, Background
 from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, HeightThreshold
 from foretouch.cloud.segmentation.confidence import confidence
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
-from foretouch.types import Cloud, Float64, Int32, Int64, Plane
+from foretouch.types import Cloud, Float64, Int32, Plane
 from foretouch.types.scene import NEAR_M, Object
 
 _collect_members = Kernel("collect_members")
@@ -37,7 +37,7 @@ def extract_objects(
     threshold: HeightThreshold,
     config: ClusterConfig,
     labels: Int32,
-    reasons: Int64 | None = None,
+    found: Background | None = None,
 ) -> tuple[tuple[Object, ...], tuple[Object, ...], dict[str, int]]:
     """Extract the clusters of a plausible size as objects, and those that are background.
 
@@ -47,7 +47,7 @@ def extract_objects(
         threshold: The table, and the noise of the depth.
         config: Limits of the size.
         labels: (H, W) or (N,) int32, zeros; the ids of objects are written into it.
-        reasons: The index in `REASONS` of each label, counted on from one window to the next; all are objects if absent.
+        found: Which labels are background, and which the image cuts; all are whole objects if absent.
 
     Returns:
         Objects in order of the distance of their centroid from the camera, ties by position in the image; background in the
@@ -64,11 +64,12 @@ def extract_objects(
     first = 0  # label of the window among all labels
     for number, window in enumerate(windows):
         for label, candidate, top_m in _clusters(flat, window, image.shape[1], threshold.plane, shape):
-            reason = "" if reasons is None else REASONS[reasons[first + label]]
+            reason = "" if found is None else REASONS[found.reasons[first + label]]
             if reason == ENTERS or (reason and candidate.n_points >= config.min_points):
                 behind.append((candidate.distance_m, number, label, replace(candidate, background=reason)))
             elif not reason and _plausible(candidate, top_m, threshold, config):
-                standing.append((candidate.distance_m, number, label, candidate))
+                flags = (CUT,) if found is not None and found.cut[first + label] else ()
+                standing.append((candidate.distance_m, number, label, replace(candidate, flags=flags)))
             else:
                 rejected.append(candidate.n_points)
         first += window.n_labels
@@ -180,6 +181,7 @@ def select_targets(
         more = f"the {limit} nearest of {len(objects)} objects (target.max_objects)" if len(objects) > limit else ""
         return list(objects[:limit]), more
     if config.mode == "largest":
+        objects = _whole(objects)
         largest = max(obj.n_points for obj in objects)
         tied = [obj for obj in objects if obj.n_points > 0.95 * largest or obj.n_points == largest]
         tied.sort(key=lambda obj: -obj.n_points)

@@ -23,7 +23,7 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from foretouch.cloud.geometry.columns import median
-from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold, WritePoints
+from foretouch.cloud.segmentation.clusters import LOCAL_FACTOR, Clusters, HeightThreshold, WritePoints
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel, struct
 from foretouch.types import Float32, Float64, Int32, Int64
@@ -34,13 +34,13 @@ _concave = Kernel("concave_nodes")
 
 SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_border", "joined_hidden")
 TREES = Path(__file__).with_name("same_object.safetensors")
-_NO_ROWS = np.empty((0, 64))
+_NO_ROWS = np.empty((0, 66))
 _MAX_CELL = 8  # pixels
 _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
 _LEAST_PITCH, _PER_PIXEL = 0.001, 2.5  # pixels of a list: the smallest per depth, and points in each that is not empty
 _STRIDE, _STRIDE_M = 4, 0.007  # between the points that are looked at: pixels, at most, and distance
-_CELL_NOISE = 0.9  # side of a cell by the noise of the threshold, which is 2.5 standard deviations
+_CELL_NOISE = 0.9  # side of a cell by LOCAL_FACTOR times the noise of small windows
 _CELL_PER_M = 0.0035  # and at least, per depth² [1/m]: a table may be smoother than what stands on it
 _UNKNOWN_CELL_PER_M = 0.0075  # the same where a table without noise says nothing about the camera
 _NO_NOISE = 1e-4  # of the threshold, per depth² [1/m]
@@ -63,7 +63,7 @@ class SplitConfig(Settings):
     )
     cell_m: float = setting(
         0.003,
-        "Least side of the squares over which the surface is averaged; where the depth is noisier, they are larger: 2.25 standard deviations of its noise",
+        "Least side of the squares over which the surface is averaged; where the depth is noisier, they are larger: 3.6 times its noise in small windows",
         bounds=(0.002, 0.02),
     )
     same_object: float = setting(
@@ -86,7 +86,6 @@ def split_clusters(
     threshold: HeightThreshold,
     pitch: float,
     config: SplitConfig,
-    reasons: Int64,
     write: WritePoints | None = None,
 ) -> tuple[list[Clusters], dict[str, int]]:
     """Split clusters of an image into parts.
@@ -97,7 +96,6 @@ def split_clusters(
         threshold: Height threshold above the table, with the noise of the depth.
         pitch: Lateral distance of neighbouring pixels per depth.
         config: Settings.
-        reasons: Why each label of the windows, counted on from one to the next, is background; 0 for what stands on the table.
         write: Writes points between the windows into `xyz`; None if all are there.
 
     Returns:
@@ -108,14 +106,15 @@ def split_clusters(
         return list(windows), counts
     window = _in_one_window(windows) if len(windows) > 1 else windows[0]
     h, w = window.labels.shape
-    depth = _depth_of(xyz[window.rows :, window.columns :][:h, :w, 2], window, reasons)
-    if depth is None:
-        return list(windows), counts
+    coarse = np.s_[::_STRIDE, ::_STRIDE]
+    seen = xyz[window.rows :, window.columns :][:h, :w, 2][coarse][window.solid[coarse]]
+    depth = min(median(seen), threshold.depth_m) if len(seen) else threshold.depth_m  # a wall is far behind the table
     side = pitch * depth  # of a pixel [m]
     arm, touching = max(1, round(_ARM_M / side)), np.empty(2, np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
-    cell = _cell_of(threshold.noise_per_m, config.cell_m, depth, side)
-    _concave(window.as_struct(xyz), stride, arm, _SAG_M, threshold.noise_per_m, touching)
+    noise_per_m = LOCAL_FACTOR * threshold.local_per_m
+    cell = _cell_of(noise_per_m, config.cell_m, depth, side)
+    _concave(window.as_struct(xyz), stride, arm, _SAG_M, noise_per_m, touching)
     if touching.max() < _FEW:
         return [window._replace(pixels_per_cell=float(cell**2)) for window in windows], counts
     if write is not None and len(windows) > 1:
@@ -127,6 +126,7 @@ def split_clusters(
         np.log(config.same_object / (1.0 - config.same_object)),
         *threshold.plane.coefficients,
         pitch * cell,
+        threshold.local_per_m,
     ]
     labels, (parts, *joined, _), joins = split_window(xyz, window, cell, np.array(settings))
     clusters = np.zeros(window.n_labels + 1, np.bool_)
@@ -145,7 +145,7 @@ def split_window(
         window: Its clusters.
         cell: Side of a cell [px].
         settings: Numbers of the kernel.
-        rows: (n, 64) float64, written: the pixels of both fragments in whole cells, and the input of the trees, of the first pairs that are rated.
+        rows: (n, 66) float64, written: the pixels of both fragments in whole cells, and the input of the trees, of the first pairs that are rated.
 
     Returns:
         The parts (h, w) int32; the number of parts, those that were joined for each reason, and the pairs that were rated; and
@@ -162,16 +162,6 @@ def split_window(
     if counts[0] < 0:
         raise MemoryError("split_clusters")
     return labels, counts.tolist(), joins[: counts[0] + 1]
-
-
-def _depth_of(depths: Float32, window: Clusters, reasons: Int64) -> float | None:
-    """Return the median depth of what stands on the table [m], else of the background; None where there is neither."""
-    coarse = np.s_[::_STRIDE, ::_STRIDE]
-    solid = window.solid[coarse]
-    seen, standing = depths[coarse][solid], reasons[window.labels[coarse][solid]] == 0
-    if not len(seen):
-        return None
-    return median(seen[standing] if standing.any() else seen)  # a wall is far behind the objects
 
 
 def _cell_of(noise_per_m: float, least_m: float, depth: float, side: float) -> int:
@@ -202,7 +192,7 @@ def split_list(
     labels = np.where(shown >= 0, clusters[shown], 0).astype(np.int32)
     wide = config.updated({"cell_m": max(config.cell_m, _LIST_CELL_M)})
     whole = Clusters(labels, labels > 0, windows[0].n_labels)
-    split, counts = split_clusters(image, [whole], threshold, pitch, wide, np.zeros(whole.n_labels + 1, np.int64))
+    split, counts = split_clusters(image, [whole], threshold, pitch, wide)
     if not counts["parts"]:
         per_cell = split[0].pixels_per_cell * len(points) / np.count_nonzero(shown >= 0)
         return [windows[0]._replace(pixels_per_cell=per_cell)], counts

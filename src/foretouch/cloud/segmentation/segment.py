@@ -12,10 +12,12 @@ from typing import Literal
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.geometry.frames import TANGENT, not_optical
 from foretouch.cloud.geometry.pixel_grid import listed_image
 from foretouch.cloud.segmentation.background import REASONS, find_background
 from foretouch.cloud.segmentation.clusters import (
+    LOCAL_FACTOR,
     NOISE_FACTOR,
     ClusterConfig,
     CoarseGrid,
@@ -25,6 +27,7 @@ from foretouch.cloud.segmentation.clusters import (
     in_range,
     label_organised,
     label_unorganised,
+    local_noise,
     pixel_pitch,
 )
 from foretouch.cloud.segmentation.objects import extract_objects
@@ -173,18 +176,16 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
     if reason:
         return "doubtful_plane", reason, plane, *nothing, labels
     with timed(ms, "clusters"):
-        limits = config.clusters
-        threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M)
+        limits, found = config.clusters, None
+        threshold = _threshold(plane, noise_per_m, sample, config)
         if cloud.organised:
             grid = CoarseGrid(coarse, stride, pixel_pitch(coarse))
+            threshold = threshold._replace(local_per_m=local_noise(grid, config.crop))
             windows = label_organised(xyz, grid, config.crop, threshold, limits, rays, write)
+            windows, parts = split_clusters(xyz, windows, threshold, grid.pitch / stride, config.split, write)
             hidden = config.plane.table == "given" and noise_per_m == 0.0  # by a pile: the table has no outline
-            reasons, outline = find_background(grid, windows, threshold, hidden=hidden)
-            windows, parts = split_clusters(xyz, windows, threshold, grid.pitch / stride, config.split, reasons, write)
-            if parts["parts"]:
-                reasons, outline = find_background(grid, windows, threshold, hidden=hidden)
+            found = find_background(grid, windows, threshold, hidden=hidden)
         else:
-            reasons, outline = None, np.empty((0, 3))
             windows = label_unorganised(xyz, config.crop, threshold)
             windows, parts = split_list(xyz, windows, threshold, config.split)
         counts |= parts
@@ -192,10 +193,27 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
             counts["off_ray"] = rays.count_dropped(xyz)
     with timed(ms, "objects"):
         made = Cloud(xyz, cloud.rgb, cloud.frame_id, cloud.stamp_ns) if isinstance(source, DepthImage) else cloud
-        objects, background, numbers = extract_objects(made, windows, threshold, limits, labels, reasons)
+        objects, background, numbers = extract_objects(made, windows, threshold, limits, labels, found)
         counts |= numbers
     reason = "" if objects else _why_no_object(counts["n_rejected"], counts["n_background"], limits)
-    return "ok" if objects else "no_object", reason, plane, objects, background, outline, labels
+    return (
+        "ok" if objects else "no_object",
+        reason,
+        plane,
+        objects,
+        background,
+        np.empty((0, 3)) if found is None else found.outline,
+        labels,
+    )
+
+
+def _threshold(plane: Plane, noise_per_m: float, sample: Float32, config: SegmentationConfig) -> HeightThreshold:
+    """Return the height threshold above a table with its noise, from points of the cloud (N, 3)."""
+    on = sample[np.abs(plane.height(sample)) < config.plane.threshold_m]
+    depth_m = median((on if len(on) else sample[finite_rows(sample)])[:, 2])
+    least_m, least_per_m = config.clusters.min_height_m, NOISE_FACTOR * noise_per_m
+    local_per_m = least_per_m / LOCAL_FACTOR  # where no windows are measured, as in a list
+    return HeightThreshold(plane, least_m, least_per_m, _HIGHEST_M, depth_m, local_per_m)
 
 
 def _image_of(cloud: Cloud) -> DepthImage | None:

@@ -172,7 +172,7 @@ def label_series(
     hold: Bool | None = None,
     complete: Floating | None = None,
 ) -> SeriesLabel:
-    """Label the readings around one grasp: the same rules and flags whoever recorded them.
+    """Label the readings around one grasp, by the same rules and flags for every source.
 
     Args:
         stamps_ns: (T,) int64 ascending stamps [ns].
@@ -203,7 +203,7 @@ def label_series(
         tare=rest_of(tare.values, channels),
         contact_ns=contact_ns,
         hold=hold,
-        flags=_flags(stamps_ns, whole, hold, contacts, channels),
+        flags=_flags(stamps_ns, whole, tare, hold, contacts),
     )
 
 
@@ -283,9 +283,9 @@ def _require_working(counts: Floating, touch: Touch | None, tare: Touch) -> None
 
 
 def _flags(
-    stamps_ns: Int64, counts: Floating, hold: Bool, contacts: tuple[SeriesContact, ...], channels: Channels
+    stamps_ns: Int64, counts: Floating, tare: Touch, hold: Bool, contacts: tuple[SeriesContact, ...]
 ) -> dict[str, str]:
-    flags = {}
+    flags, channels = {}, tare.channels
     for (finger, columns), contact in zip(channels.finger_columns.items(), contacts, strict=True):
         own = counts[:, columns]
         same = (np.diff(own, axis=0) == 0).all(axis=1) & may_freeze(own[1:], channels.tared[columns])
@@ -294,21 +294,22 @@ def _flags(
             flags[f"no_contact_{finger}"] = f"{finger} is not in contact"
         if frozen_ns > _ns(_FROZEN_S):
             flags[f"frozen_{finger}"] = f"{finger} sends the same numbers for {_s(frozen_ns)}"
-        if contact.drifted or (contact.onset is not None and _is_ramp(own, contact.onset, hold)):
+        if contact.drifted or (contact.onset is not None and _is_ramp(own[hold], tare.values[columns])):
             flags[f"drift_{finger}"] = f"{finger} changes too slowly for a contact, or all the time"
+        if contact.early:
+            flags[f"contact_in_rest_{finger}"] = f"{finger} is in contact before the readings at rest end"
         if contact.several:
             flags[f"several_contacts_{finger}"] = f"{finger} is in contact several times, of which the longest counts"
     return flags
 
 
-def _is_ramp(counts: Floating, onset: int, hold: Bool) -> bool:
-    """Return whether (T, M) readings of a finger go on to change while it holds, by more than half of what contact changed."""
-    held = counts[hold].astype(np.float64)
+def _is_ramp(held: Floating, tare: Float64) -> bool:
+    """Return whether (H, M) readings of a finger that holds go on to change, by more than half of what contact changed."""
     if len(held) < 2 * _MIN_TARE_READINGS:
         return False
     half = len(held) // 2
     change = np.median(held[half:], axis=0) - np.median(held[:half], axis=0)
-    step = np.median(held, axis=0) - np.median(counts[max(0, onset - _MIN_TARE_READINGS) : onset], axis=0)
+    step = np.nan_to_num(np.median(held, axis=0) - tare)  # NaN of a taxel that was not read at rest
     return float(np.linalg.norm(change)) > _RAMP * float(np.linalg.norm(step))
 
 

@@ -112,11 +112,16 @@ def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None
             raise FileError(path, "exists and is not a recorded dataset")
         path.mkdir(parents=True, exist_ok=True)
     with lock(path):
-        if (path / _MANIFEST).exists():
-            _require_same(path, identity, sensor)
-        else:
+        is_new = not (path / _MANIFEST).exists()
+        if is_new:
             _create_manifest(path, identity, sensor)
-        yield
+        else:
+            _require_same(path, identity, sensor)
+        try:
+            yield
+        finally:
+            if is_new and not session_files(path):  # nothing was recorded, so the next one may be of another hand
+                (path / _MANIFEST).unlink(missing_ok=True)
 
 
 def _is_left_over(name: str) -> bool:

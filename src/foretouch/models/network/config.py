@@ -11,6 +11,9 @@ from foretouch.tactile import BIOTAC, MODALITIES, TactileRanges
 GRASP_SIZE: Final = 15
 """g1, g2 (3 + 3) and R (9), as in P2."""
 
+EACH: Final = "each"
+"""As the only output: one network for each modality, as in P1 and P2."""
+
 _CHANNELS: Final = {"xyz": 3, "xyz+rgb": 6, "xyz+normals": 6}
 
 
@@ -19,7 +22,8 @@ class ModelConfig(Settings):
     """Architecture, inputs and outputs of a network; the defaults are P2's, with all four modalities at once.
 
     P2 does not specify its six channels; the public clouds hold x, y, z and colour, so three choices exist. P2 trains
-    one network for each modality (`outputs: [PDC_TH]`); several outputs share the features and the head.
+    one network for each modality (`outputs: [PDC_TH]`, or `each` for all of them); several outputs share the features and the
+    head.
 
     Raises:
         ConfigError: If a setting is out of its bounds, or outputs are repeated or empty.
@@ -27,7 +31,11 @@ class ModelConfig(Settings):
 
     n_points: int = setting(750, "Points of a cloud as input: 750 in P2, 500 in P1", bounds=(8, 8192))
     channels: str = setting("xyz", "Values of each point", choices=tuple(_CHANNELS))
-    outputs: tuple[str, ...] = setting(MODALITIES, "Modalities to predict", choices=MODALITIES)
+    outputs: tuple[str, ...] = setting(
+        MODALITIES,
+        "Modalities to predict by one network; each: one network for each modality",
+        choices=(*MODALITIES, EACH),
+    )
     use_grasp: bool = setting(True, "Use g1, g2 and R as inputs of the head, as in P2 but not in P1")
     metric_inputs: bool = setting(
         False,
@@ -51,6 +59,8 @@ class ModelConfig(Settings):
         super().__post_init__()
         if not self.outputs or len(set(self.outputs)) != len(self.outputs):
             raise ConfigError(f"outputs: {list(self.outputs)} must name at least one modality, each once")
+        if EACH in self.outputs and len(self.outputs) > 1:
+            raise ConfigError(f"outputs: {list(self.outputs)} names modalities beside {EACH}, which is all of them")
         if not self.trunk_widths or len(self.tnet_widths) != 5:
             raise ConfigError(
                 f"trunk_widths, tnet_widths: {list(self.trunk_widths)}, {list(self.tnet_widths)} "
@@ -58,6 +68,10 @@ class ModelConfig(Settings):
             )
         if self.metric_inputs and not self.use_grasp:
             raise ConfigError("metric_inputs: true needs use_grasp, because the width is the grasp's")
+
+    def networks(self) -> "list[ModelConfig]":
+        """Return the configuration of each network: of one, or of one for each modality."""
+        return [self.replace(outputs=(name,)) for name in MODALITIES] if self.outputs == (EACH,) else [self]
 
     @property
     def channel_count(self) -> int:

@@ -2,6 +2,7 @@
 """Predictions for the grasps of messages, in the same way for the topic, the service and the actions. No node."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -31,15 +32,16 @@ class Predictor:
     Args:
         model: Name or path of the model.
         fallback: Name or path of the model to use if it cannot be loaded; "" for none.
+        predictor: Name of the predictor of a model of the user; "" for none.
     """
 
-    def __init__(self, model: str, fallback: str = "") -> None:
+    def __init__(self, model: str, fallback: str = "", predictor: str = "") -> None:
         self.model: TouchModel | None = None  # None if neither could be loaded
         self.adapter: OnlineAdapter | None = None  # adapts predictions to tactile readings; None for vision alone
         self.fault = ""  # why `model` could not be loaded
         self.flags: tuple[str, ...] = ()  # of every prediction
         try:
-            self.model = load_model(model)
+            self.model = load_model(model, predictor or None)
         except ForetouchError as err:
             self.fault = f"model: {err}"
         if self.model is None and fallback:
@@ -50,7 +52,8 @@ class Predictor:
         if self.model is not None:  # predict once, so that the first real cloud does not wait for torch
             pipeline = Pipeline()
             for target in pipeline.segment(warm_up_cloud()).targets:
-                self.model.predict(target, pipeline.plan(target).grasps)
+                with suppress(ForetouchError):  # of a predictor of the user; each answer gives the reason
+                    self.model.predict(target, pipeline.plan(target).grasps)
 
     @property
     def sensor(self) -> Sensor | None:

@@ -65,7 +65,7 @@ class TouchStep(Step):
         self._keeper: HistoryKeeper | None = None
         self._other_hand = ""  # why the model's sensor is not the sensor of the hand
         self._used_tare = config.use_tare
-        self.predictor = Predictor(config.model, config.fallback_model)
+        self.predictor = Predictor(config.model, config.fallback_model, config.predictor)
         if self.predictor.fault:
             node.get_logger().error(self.predictor.fault)
         self._adapt()

@@ -9,6 +9,7 @@ from foretouch.config import setting
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.grasp import GeoGraspConfig, HandConfig
 from foretouch.grasp.reach import ReachConfig
+from foretouch.models.registry import MODEL_WORDS, PREDICTOR_WORDS
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.steps.frames import FrameSettings
 from foretouch_msgs.action import SampleGrasps
@@ -24,7 +25,8 @@ COSTS: Final = (PRESSURE, SCORE, HARDER_FINGER)
 class TouchSettings(ReachConfig, TactileInput, FrameSettings):
     """Settings of the step, with the hand's reach and its tactile messages."""
 
-    model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
+    model: str = setting("default", MODEL_WORDS, read_only=True)
+    predictor: str = setting("", PREDICTOR_WORDS, read_only=True)
     fallback_model: str = setting(
         "", "Model to use, with a flag, if `model` cannot be loaded; none if empty", read_only=True
     )

@@ -13,7 +13,8 @@ import numpy as np
 
 from foretouch.errors import DatasetError, ModelError
 from foretouch.models.card import card_sensor, read_card
-from foretouch.models.registry import find_card, load_model
+from foretouch.models.registry import find_cards, load_model
+from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
 from foretouch.types import Bool, Float64, Sample
@@ -35,6 +36,7 @@ def evaluate_model(
     seed: int = 0,
     baselines: Mapping[str, Baseline] = BASELINES,
     training_scores: bool = False,
+    predictor: Any = None,
 ) -> dict[str, Any]:
     """Score a trained model and the baselines on the test samples of a split that the model was not trained on.
 
@@ -47,6 +49,7 @@ def evaluate_model(
         seed: Seed of the baselines.
         baselines: By name.
         training_scores: Score the samples that the model was trained on, too.
+        predictor: Of a model of the user, as of `load_model`.
 
     Returns:
         `scores`: by `model` and each baseline, by modality: `rmse` [counts], `nrmse`, `skill`, `coverage90` (None without
@@ -64,8 +67,9 @@ def evaluate_model(
     chosen = np.concatenate([part.test for part in parts])
     if not len(chosen):
         raise DatasetError(f"{data.name}: the split tests no sample")
-    card = read_card(path := find_card(model))
-    sensor = card_sensor(card, path)
+    loaded = None if _is_part(model) else load_model(model, predictor)
+    card = read_card(find_cards(model)[0]) if loaded is None else loaded.card
+    sensor = card_sensor(card, str(model))
     require_same(data.sensor.channels, sensor.channels, data.name)
     own = trained_on(card, data, chosen)
     kept = np.full(len(chosen), True) if own is None or training_scores else ~own
@@ -77,7 +81,7 @@ def evaluate_model(
         return np.concatenate([predict_part(baseline, data.filled, seed, part) for part in parts])[kept]
 
     tested = [data.masked[k] for k in chosen[kept]]
-    predicted = _predict(path, card, tested)
+    predicted = _by_network(find_cards(model)[0], tested) if loaded is None else _by_model(loaded, tested)
     by_baseline = {name: fitted(baseline) for name, baseline in baselines.items()}
     valid = sensor.valid_values & ~np.isnan(labels_of(tested)).any(axis=0)
     return {
@@ -152,14 +156,15 @@ _Predictions = tuple[Float64, Float64, int, Ranges]
 """(S, D) predictions, NaN for modalities without; (S, D) half widths of intervals, NaN without [counts]; how many are flagged."""
 
 
-def _predict(card_path: Path, card: Mapping[str, Any], samples: Sequence[Sample]) -> _Predictions:
-    plain_network = card["kind"] == "network" and card.get("calibration") is None
-    return (_by_network if plain_network else _by_model)(card_path, samples)
+def _is_part(model: str | Path) -> bool:
+    """Return whether a model is one network without intervals, which may predict only some of the modalities."""
+    paths = find_cards(model)
+    card = read_card(paths[0])
+    return len(paths) == 1 and card["kind"] == "network" and card.get("calibration") is None
 
 
-def _by_model(card_path: Path, samples: Sequence[Sample]) -> _Predictions:
+def _by_model(model: TouchModel, samples: Sequence[Sample]) -> _Predictions:
     """Predict as everywhere else, each sample on its own, with its tare where it has one."""
-    model = load_model(card_path)
     counts, half = np.full((2, len(samples), model.sensor.channels.size), np.nan)
     unfamiliar = 0
     for k, sample in enumerate(samples):

@@ -20,7 +20,7 @@ P2 does not specify the channels between the layers (here 6, as at both ends) an
 Shapes: B clouds, L length of the noise, N points, C channels that the network uses.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -30,7 +30,8 @@ import torch
 from torch import Tensor, nn
 
 from foretouch.config import Settings, setting
-from foretouch.models.card import CardCalibration, save_model
+from foretouch.models.card import NETWORKS, CardCalibration, save_model
+from foretouch.models.network.checkpoint import network_key
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.novelty import Fallback
@@ -124,6 +125,26 @@ def save_network(
     """
     facts = {"familiar": None, "config": net.config.to_mapping(), **facts}
     return save_model(Path(folder) / f"{name}.json", "network", _arrays(net), facts, calibration, fallback)
+
+
+def save_networks(
+    folder: str | Path,
+    name: str,
+    nets: Sequence[TouchNet],
+    facts: Mapping[str, Any],
+    calibration: CardCalibration | None = None,
+    fallback: Fallback | None = None,
+) -> Path:
+    """Write networks for different modalities as one model, and return the path of its card; arguments as of `save_network`."""
+    keys = [network_key(net.config) for net in nets]
+    tensors = {
+        f"{key}/{part}": value for key, net in zip(keys, nets, strict=True) for part, value in _arrays(net).items()
+    }
+    config = {key: net.config.to_mapping() for key, net in zip(keys, nets, strict=True)}
+    lengths = {"familiar": dict.fromkeys(keys, facts.get("familiar"))}
+    return save_model(
+        Path(folder) / f"{name}.json", NETWORKS, tensors, {"config": config, **facts, **lengths}, calibration, fallback
+    )
 
 
 def _arrays(net: TouchNet) -> dict[str, AnyArray]:

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training in one call of Python: samples in, a touch model out, as `foretouch train` makes it."""
 
-import tempfile
-import weakref
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from foretouch.dataset.samples import SampleSet
-from foretouch.models import TouchModel, load_model
+from foretouch.models import TouchModel
+from foretouch.models.registry import temporary_model
 from foretouch.types import Sample
 from foretouch_lab.learning.data.dataset import dataset_from
 from foretouch_lab.learning.training.run import train_run
@@ -22,17 +20,3 @@ def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str, setting
     config = load_run_config(recipe).updated(dict(settings), "fit")
     config = config.replace(name=config.name or "model")
     return temporary_model(lambda folder: train_run(config, data, folder / "model", lambda _: None))
-
-
-def temporary_model(write: Callable[[Path], Path], predictor: Any = None) -> TouchModel:
-    """Return a model whose files are in a temporary folder that lives as long as it.
-
-    Args:
-        write: Writes the files to a folder, and returns the path of the card.
-        predictor: As of `load_model`.
-    """
-    with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foretouch-fit-")))
-        model = load_model(write(folder), predictor)
-        weakref.finalize(model, stack.pop_all().close)
-    return model

@@ -7,6 +7,7 @@ A further method takes a learner here, and its name and group of settings in `ru
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from foretouch.grasp import closing_faults
 from foretouch.models.card import CardCalibration
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.contact.features import CONDITIONS
+from foretouch.models.network.checkpoint import network_key
+from foretouch.models.network.config import EACH
 from foretouch.models.network.preparation import LengthRangeCheck
 from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, P2_RANGES
@@ -24,8 +27,8 @@ from foretouch.types import Float64, Grasps
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
-from foretouch_lab.learning.network.networks import save_network
-from foretouch_lab.learning.training.calibration import calibrate_on_folds
+from foretouch_lab.learning.network.networks import TouchNet, save_network, save_networks
+from foretouch_lab.learning.training.calibration import calibrate_on_folds, with_conformal_start
 from foretouch_lab.learning.training.contact import ContactPredictor, describe_objects
 from foretouch_lab.learning.training.run_config import RunConfig
 from foretouch_lab.learning.training.run_folder import RunFolder
@@ -102,7 +105,9 @@ class Learner(ABC):
     @property
     def outputs(self) -> tuple[str, ...]:
         """Modalities that are predicted."""
-        return self.config.model.outputs if self.config.has_network else self.sensor.channels.modalities
+        if not self.config.has_network:
+            return self.sensor.channels.modalities
+        return tuple(name for network in self.config.model.networks() for name in network.outputs)
 
     def predict_fold(self, fold: Fold) -> Float64:
         """Return (T, D) predictions of a fold's test side by a copy that is fitted to its training side [counts]."""
@@ -154,7 +159,7 @@ class ContactLearner(Learner):
 
 
 class NetworkLearner(Learner):
-    """Trains a network."""
+    """Trains a network, or one for each modality."""
 
     def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
         if config.method == "srgan" and not len(split.unlabelled):
@@ -167,22 +172,31 @@ class NetworkLearner(Learner):
             )
             raise ConfigError(f"method: {rule}; use contact")
         super().__init__(config, data, split)
-        self._prepared = TrainingSet.build(data.filled, config.model, unlabelled=True)
+        prepared = TrainingSet.build(data.filled, config.model, unlabelled=True)
+        self._prepared = [replace(prepared, config=network) for network in config.model.networks()]
         self._objects = describe_objects(self.samples) if config.calibrates else np.empty((0, 0))
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all but the trained weights, which the processes that fit folds do not use."""
-        return {**self.__dict__, "_net": None}
+        return {**self.__dict__, "_nets": None}
 
     def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
-        """Train the network; with a model folder, every epoch is on disk before it is reported."""
+        """Train the networks; with a model folder, every epoch is on disk before it is reported."""
         self._chosen = np.arange(len(self.samples)) if chosen is None else chosen
+        one = len(self._prepared) == 1
+        self._nets = [
+            self._train(prepared, run if run is None or one else run.part(network_key(prepared.config)))
+            for prepared in self._prepared
+        ]
+
+    def _train(self, prepared: TrainingSet, run: RunFolder | None) -> TouchNet:
+        """Train one network."""
         train = self.split.train[self._chosen]
         trainer: Trainer
         if self.config.method == "srgan":
-            trainer = SrganTrainer(self._prepared, train, self.split.unlabelled, self.config.srgan)
+            trainer = SrganTrainer(prepared, train, self.split.unlabelled, self.config.srgan)
         else:
-            trainer = SupervisedTrainer(self._prepared, train, self.config.train)
+            trainer = SupervisedTrainer(prepared, train, self.config.train)
         if run is not None and run.resumed:
             run.restore(trainer)
 
@@ -190,26 +204,33 @@ class NetworkLearner(Learner):
             if run is not None:
                 run.store(trainer, {"epoch": trainer.epoch - 1, "epochs": trainer.config.epochs, "losses": losses})
 
-        self._net = trainer.train(done)
+        net = trainer.train(done)
         self.epochs = trainer.epoch
+        return net
 
     def predict(self, index: Indices) -> Float64:
         """Return (T, D) predictions of training samples [counts]; a calibrated network fades to its fallback on new objects."""
-        predicted = np.full((len(index), self._prepared.labels.shape[1]), np.nan)
-        predicted[:, BIOTAC.columns(self.config.model.outputs)] = predict_set(
-            self._net, self._prepared, self.split.train[index]
-        )
+        predicted = np.full((len(index), BIOTAC.size), np.nan)
+        for net, prepared in zip(self._nets, self._prepared, strict=True):
+            predicted[:, BIOTAC.columns(prepared.config.outputs)] = predict_set(net, prepared, self.split.train[index])
         return self._fallback().fade(predicted, self._objects[index])[0] if self.config.calibrates else predicted
+
+    def calibrate(self, workers: int = 1) -> CardCalibration:
+        """Calibrate as other methods, with intervals before any reading that are about as wide as the conformal ones."""
+        calibration, facts = super().calibrate(workers)
+        return with_conformal_start(calibration), facts
 
     def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
         """Write weights, card and calibration, all files or none."""
         learned = np.concatenate([self.split.train, self.split.unlabelled])
         own = {
-            "familiar": LengthRangeCheck.fit(self._prepared.lengths[learned]).to_card(),
+            "familiar": LengthRangeCheck.fit(self._prepared[0].lengths[learned]).to_card(),
             "training": self.config.replace(data=None).to_mapping(),
         }
         fallback = None if calibration is None else self._fallback()
-        return save_network(folder, name, self._net, {**facts, **own}, calibration, fallback)
+        save = save_network if self.config.model.outputs != (EACH,) else save_networks
+        nets: Any = self._nets if save is save_networks else self._nets[0]
+        return save(folder, name, nets, {**facts, **own}, calibration, fallback)
 
     def _fallback(self) -> Fallback:
         return Fallback.fit(BIOTAC, self._objects[self._chosen], self.labels[self._chosen])

@@ -10,7 +10,7 @@ from typing import Any, Final, Self
 
 from foretouch.config import EMPTY, Settings, load_yaml, parse_overrides, setting
 from foretouch.errors import ConfigError, nearest, quoted, shown
-from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.config import EACH, ModelConfig
 from foretouch.tactile import Ranges
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.training.contact import ContactTrainingConfig, ranges_of
@@ -87,9 +87,9 @@ class RunConfig(Settings):
                 raise ConfigError(f"{group}.{changed[0]}: has no effect on method {self.method!r}")
         if self.release and self.split is not None:
             raise ConfigError("release: trains on all samples; leave split empty")
-        if self.calibrates and self.model.outputs != (every := ModelConfig().outputs):
+        if self.calibrates and self.model.outputs not in (every := ModelConfig().outputs, (EACH,)):
             field = "release" if self.release else "calibrate"
-            rule = f"{list(self.model.outputs)} are not all modalities, {', '.join(every)}"
+            rule = f"{list(self.model.outputs)} are not all modalities, {', '.join(every)}, or {EACH}"
             raise ConfigError(f"{field}: model.outputs: {rule}")
 
     def to_mapping(self) -> dict[str, Any]:

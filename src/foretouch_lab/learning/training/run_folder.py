@@ -4,6 +4,7 @@
 RUN/config.yaml        resolved settings
 RUN/log.jsonl          one line per epoch
 RUN/state.safetensors  state of the last epoch that was finite, from which --resume continues
+RUN/PDC_TH/…        log and state of one of several networks
 RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end
 RUN/<name>.trust.safetensors             its calibration
 
@@ -98,7 +99,7 @@ class RunFolder:
             ConfigError: If the run in the folder has other settings or other data; names the first field that differs.
         """
         file = self.path / CONFIG_FILE
-        if any(self.path.glob("*.safetensors")):
+        if any(self.path.glob("*.safetensors")) or any(self.path.glob(f"*/{STATE_FILE}")):
             if not resume:
                 raise FileError(self.path, "holds a run already; --resume continues it")
             before = flattened(load_yaml(file))
@@ -109,6 +110,12 @@ class RunFolder:
             self.resumed = (self.path / STATE_FILE).exists()
             return
         write_text(file, dump_yaml(resolved))
+
+    def part(self, name: str) -> "RunFolder":
+        """Return the folder of one of several networks of this run, which was opened; its records name the network."""
+        folder = RunFolder(self.path / name, lambda record: self.report({"network": name, **record}))
+        folder.resumed = (folder.path / STATE_FILE).exists()
+        return folder
 
     def store(self, trainer: Trainer, record: dict[str, Any]) -> None:
         """Replace the state by a trainer's after an epoch, and report the record of the epoch."""

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import ConfigError
-from foretouch.models.network.checkpoint import NetworkEstimator
+from foretouch.models.network.checkpoint import Network, NetworkPredictor
 from foretouch.models.network.preparation import LengthRangeCheck, prepare_grasps
 from foretouch.models.touch_model import TouchModel
 from foretouch.types import Grasp
@@ -40,7 +40,7 @@ def test_validation_predicts_what_the_model_predicts(samples, small) -> None:
     """And what was trained on is familiar."""
     data = TrainingSet.build(samples, small)
     net = train_network(data, np.arange(40), QUICK.replace(epochs=2))
-    estimator = NetworkEstimator(small, net.folded(), LengthRangeCheck.fit(data.lengths))
+    estimator = NetworkPredictor([Network(small, net.folded(), LengthRangeCheck.fit(data.lengths))])
     model = TouchModel(estimator, {"name": "toy", "sha256": ""})
     predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
     assert_allclose(predictions[50].value.values, predict_set(net, data, np.array([50]))[0], atol=0.05)
