@@ -81,7 +81,7 @@ SAME = {  # read by the same code as above
     ("replay", "path"): ("segment", "inputs"),
     ("run", "--params"): ("segment", "--config"),
     ("record", "--params"): ("segment", "--config"),
-    ("tradeoff", "--data"): ("experiment", "--data"),
+    **{(command, "--data"): ("experiment", "--data") for command in ("tradeoff", "benchmark")},
 }  # fmt: skip
 
 

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 
 from foretouch import reading
-from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.pipeline import Pipeline
+from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import plane_to_msg
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, ObjectArray, Status, TablePlane, TouchPredictionArray
@@ -109,6 +110,10 @@ def test_tf_is_asked_at_the_stamp_of_the_cloud_and_what_it_lacks_is_told(graph, 
     assert_allclose(xyz(heard[-1].predictions[0].grasp.g1), g1, atol=1e-6)
     late = send(203)
     assert (late.status, "extrapolation into the future" in late.reason) == (Status.UNKNOWN_FRAME, True)
+    targets = Pipeline().segment(scene_cloud(stamp_ns=203 * 10**9)).targets
+    own = objects_to_msg(targets, frame, 203 * 10**9)  # of a cloud for which nothing is known
+    answer = ask(graph, cloud=own, grasps=one.grasps[:1]).touch
+    assert (answer.status, answer.header) == (Status.OK, own.header)
 
 
 # From here on one graph runs, for all tests.

@@ -226,7 +226,7 @@ def test_a_change_is_reported_once_and_two_publishers_are_refused_while_they_las
     other = info(k=np.array([600.0, 0.0, 420.0, 0.0, 600.0, 240.0, 0.0, 0.0, 1.0]))
     infos = CameraInfos()
     infos.add(info(), 0.0)
-    assert "changed to CameraModel(width=848, height=480, fx=600.0" in infos.add(other, 1.0)
+    assert "changed to CameraModel(848 x 480 px, fx 600" in infos.add(other, 1.0)
     assert infos.add(other, 1.1) == ""
     assert infos.camera(FRAME, (480, 848), 1.1).fx == 600.0
     assert "changed to" in infos.add(info(), 10.0)  # back after a while: no second publisher

@@ -29,6 +29,7 @@ _SHADES: Final = np.interp(  # brightness by depth [mm]
     np.log(np.maximum(np.arange(_LARGEST_LABEL + 1), 1)), np.log([250.0, 4000.0]), (230.0, 30.0)
 ).astype(np.uint8)
 _SHADES[0] = 0  # no depth
+_WIDEST: Final = 480  # pixels of an overlay
 _TARGET: Final = np.int32(180)  # share of the colour of an object over the image, of 255
 _OTHER: Final = np.int32(90)
 _OBJECT_RGB: Final = np.array(  # by id
@@ -95,13 +96,18 @@ def labels_to_msg(scene: Scene, header: Header) -> Image:
 
 
 def overlay_to_msg(scene: Scene, header: Header) -> Image:
-    """Draw the objects over the image, rgb8: targets in full colour, others paler; by its colours, or the brighter the nearer."""
+    """Draw the objects over the image, rgb8: targets in full colour, others paler; by its colours, or the brighter the nearer.
+
+    Of an image that is wider than 480 pixels, every second, third, ... row and column is drawn: it is to be looked at.
+    """
     labels = np.atleast_2d(scene.labels)
+    shape, step = labels.shape, -(-labels.shape[1] // _WIDEST)
+    labels = np.ascontiguousarray(labels[::step, ::step])
     drawn = np.empty((*labels.shape, 3), np.uint8)
     if scene.cloud.rgb is not None:
-        drawn[...] = scene.cloud.rgb.reshape(drawn.shape)
+        drawn[...] = scene.cloud.rgb.reshape(*shape, 3)[::step, ::step]
     else:
-        grey = _SHADES.take(_millimetres(scene.cloud)).reshape(labels.shape)
+        grey = _SHADES.take(np.atleast_2d(_millimetres(scene.cloud))[::step, ::step])
         for channel in range(3):
             drawn[..., channel] = grey
     pixels, flat = np.flatnonzero(labels > 0), drawn.reshape(-1, 3)

@@ -231,7 +231,7 @@ def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits
     plane = read_plane(table[0]) if table else None
     if cloud.width * cloud.height or len(cloud.data):
         targets = read_targets(cloud, plane or ASSUMED_TABLE, limits)
-        up = None if table else place(cloud.header, "").up
+        up = None if table else _up(cloud.header, place)
         if up is not None:
             targets = tuple(replace(target, plane=assumed_table(target.cloud, up)) for target in targets)
         known = bool(table) or up is not None
@@ -248,6 +248,14 @@ def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits
     if (back := latest.answered_in.back) is not None:
         plane = plane.moved(back)
     return latest._replace(objects=tuple(replace(target, plane=plane) for target in latest.objects), refusal=None)
+
+
+def _up(cloud: Header, place: Place) -> Float64 | None:
+    """Return (3,) what is up in the frame of a cloud; None where that is not known."""
+    try:
+        return place(cloud, "").up
+    except RefusalError:
+        return None
 
 
 def passed_on(name: str, status: int, reason: str) -> RefusalError:
