@@ -15,6 +15,7 @@ from seen_solids import Camera, box
 from foretouch.config import load_yaml
 from foretouch.errors import ConfigError
 from foretouch.grasp import GeoGraspConfig, HandConfig, Obstacles, plan_grasps
+from foretouch.grasp.frame import PREFERRED
 from foretouch.grasp.hand import Hand, HandDescription, hand_files, load_hand
 from foretouch.tactile.description import load_sensor
 from foretouch.types import Float64, Grasps
@@ -169,7 +170,7 @@ def test_the_thumb_takes_the_contact_that_is_asked_for() -> None:
         grasp = plan.grasps[0]
         assert grasp.way is not None
         assert grasp.way.thumb_at == "g1"  # where touch models expect the sensor's first finger
-        assert (grasp.g1[0] < grasp.g2[0]) == (name == "g1")  # left in the image, or right
+        assert ((grasp.g2 - grasp.g1) @ PREFERRED > 0.0) == (name == "g1")  # left in the image, or right
         np.testing.assert_allclose(grasp.way.pose_of_hand @ np.linalg.inv(load_hand(hand.name).at(grasp.width_m).tool)
                                    @ [grasp.width_m / 2.0, 0.0, 0.0, 1.0], [*grasp.g1, 1.0], atol=1e-9)  # fmt: skip
 

@@ -45,13 +45,20 @@ _ANGLES = 24  # directions in half a turn
 _LINES = 17  # in each direction, next to the centre
 _STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
 _NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
-_END_SHARE = 0.03  # of the points of a line that are beyond either end
+_END_SHARE = 0.03  # of the points of a line that are beyond either end, while lines are compared
+_OUTER_SHARES = np.linspace(0.0025, 0.0125, 21)  # of the chosen line: its contacts are at the mean of these quantiles
+_WIDER, _WIDER_M = 0.11, 0.002  # by how much more an object may be wider than it seems, of its width and besides
+_INSIDE = 0.05  # of the distance between the ends of a line, by which the object is longer
+_UPRIGHT = 0.25  # of the points, which the camera sees nearly upright, so that their distances are those in the image
 _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
 _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
 _ALMOST = 0.96  # of the opening of tips, from where on a line costs the more the wider it is
 _ALMOST_HAND = 0.85  # of the opening of a hand with a palm
+MAY_NOT_FIT = "may_not_fit"
+"""Flag of a grasp whose object may be wider between the contacts than the hand opens."""
+
 REASONS = ("n_too_flat", "n_too_wide", "n_too_thin", "n_blocked")  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
 _DISTANCE_M = 0.015  # beside the centre of mass
@@ -114,6 +121,7 @@ class CompletedObject:
         hand: What the hand can execute.
         obstacles: What stands around.
         shift: (3,) float64 [m], of the grasps, in the camera's frame.
+        neighbours: How many the distances in `spacing` are the mean of.
 
     Raises:
         CloudError: If no point has a weight.
@@ -127,8 +135,11 @@ class CompletedObject:
         hand: HandConfig,
         obstacles: Obstacles | None,
         shift: Float64,
+        neighbours: int,
     ) -> None:
         self._hand = hand
+        # Of an even grid with such distances; on average, an outline lies half a step beyond the outermost points.
+        self._step_m = float(np.quantile(spacing, _UPRIGHT)) / (2.0 / 3.0 * np.sqrt(neighbours / np.pi))
         self._obstacles = obstacles
         self.has_palm = hand.hand.limits_depth
         self._points, self._spacing = points, spacing
@@ -219,7 +230,7 @@ class CompletedObject:
         counts["n_too_deep"] = 0
         counts["n_free"] = int(np.count_nonzero(left))
         every = np.minimum(
-            np.nan_to_num(self._cost(high - low, slope, solid, deeper, raised), nan=_MOST_COST), _MOST_COST
+            np.nan_to_num(self._cost(self._width(low, high), slope, solid, deeper, raised), nan=_MOST_COST), _MOST_COST
         )
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
@@ -258,10 +269,14 @@ class CompletedObject:
         low, high, height, top, blocker = measured[:5]
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius),
-            "n_too_wide": high - low > self._hand.opening,
+            "n_too_wide": self._width(low, high) > self._hand.opening,
             "n_too_thin": high - low < _THIN_M,
             "n_blocked": blocker >= 0.0,
         }
+
+    def _width(self, low: Float64, high: Float64) -> Float64:
+        """Estimate how wide the object is, from the ends of lines [m]: these are means of points, which lie inside of it."""
+        return (1.0 + _INSIDE) * (high - low) + self._step_m
 
     def _cost(self, width: Float64, slope: Float64, solid: Float64, deeper: Float64, raised: Float64) -> Float64:
         """Return what speaks against each line, with the slopes of both ends (2, ...), how certainly the object is there, and the last two of `_close`."""
@@ -274,6 +289,8 @@ class CompletedObject:
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """Return both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves.
 
+        They are those by which lines are compared, which lie inside of the object (see `_END_SHARE`).
+
         Args:
             lines: The lines of the object.
             angle: Number of its direction.
@@ -282,8 +299,13 @@ class CompletedObject:
         values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
         return self._ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
 
-    def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """Return the contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused.
+    def outer_contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64] | None:
+        """Return the contacts of a line where the object ends; None if it is wider there than the hand opens."""
+        values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
+        return self._outer_ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
+
+    def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64] | None:
+        """Return the outer contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused.
 
         Args:
             lines: The lines of the object.
@@ -302,8 +324,25 @@ class CompletedObject:
         beside_m = _STEP_M * (line - _LINES // 2 + float((weight * _STEPS).sum()))
         measured = self._close(np.array([[turn, beside_m, float((around * heights).sum() / around.sum())]]), 1)[0, 0]
         if any(refused.any() for refused in self._refused(measured).values()):
-            return self.contacts(lines, angle, line)
-        return self._ends(turn, beside_m, *measured[:3].tolist())
+            return self.outer_contacts(lines, angle, line)
+        return self._outer_ends(turn, beside_m, *measured[:3].tolist())
+
+    def _outer_ends(
+        self, turn: float, beside_m: float, low: float, high: float, height: float
+    ) -> tuple[Float64, Float64] | None:
+        """Move the ends of a line outwards to where the object ends; None if that is wider than the hand opens.
+
+        It ends half a step of the grid of points beyond the outermost ones, at the height of a fingertip and above.
+        """
+        c, s = np.cos(turn), np.sin(turn)
+        x, y, z = self._xyz.T
+        beside = 1.0 - np.abs(c * y - s * x - beside_m) / (2.0 * _STEP_M)
+        near = (beside > 0.0) & (z > height - self._hand.tip_radius) & (self._weights > 0.0)
+        along, weights = c * x[near] + s * y[near], beside[near] * self._weights[near]
+        if len(along):
+            low = min(low, _outermost(along, weights) - 0.5 * self._step_m)
+            high = max(high, 0.5 * self._step_m - _outermost(-along, weights))
+        return None if high - low > self._hand.opening else self._ends(turn, beside_m, low, high, height)
 
     def _ends(self, turn: float, beside_m: float, low: float, high: float, height: float) -> tuple[Float64, Float64]:
         along = np.cos(turn) * self._basis[0] + np.sin(turn) * self._basis[1]
@@ -368,7 +407,9 @@ class CompletedObject:
         pose[:3, :3], pose[:3, 3] = np.stack([x, cross(z, x), z], axis=1), (g1 + g2) / 2.0
         joints = tuple(joint.name for joint in hand.config.joints)
         name: Literal["g1", "g2"] = "g2" if thumb else "g1"
-        return WayIn(z, name, float(depth_m), clearances, pose @ at.tool, at.posture, joints, self._hand.name), False
+        at_most_m = (1.0 + _WIDER) * width + _WIDER_M
+        way = WayIn(z, name, float(depth_m), clearances, pose @ at.tool, at.posture, joints, self._hand.name, at_most_m)
+        return way, False
 
     def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
         """Find the direction and the place of the line that is closest to a grasp.
@@ -422,6 +463,13 @@ def _quantile(values: Float64, share: float) -> float:
     return float(np.partition(values, k)[k])
 
 
+def _outermost(along: Float64, weights: Float64) -> float:
+    """Return the mean of the lowest quantiles of (N,) places [m] with weights, which moves little where single points do."""
+    order = np.argsort(along, kind="stable")
+    reached = np.cumsum(weights[order])
+    return float(np.interp(_OUTER_SHARES * reached[-1], reached - 0.5 * weights[order], along[order]).mean())
+
+
 def _slopes(ends: Float64) -> Float64:
     """Return the root mean square slope from (..., 17) ends of the lines to those of the second neighbours; 1 where one is unknown.
 
@@ -440,7 +488,7 @@ def best_grasps(
 ) -> list[tuple[tuple[Float64, Float64], WayIn, float]]:
     """Choose lines to which the hand can come, best first; each differs from all better ones by a contact.
 
-    Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`. The contact of the thumb
+    Lines to which it cannot are added to the counts `n_too_wide`, `n_too_deep` and `n_blocked`. The contact of the thumb
     is g1, where touch models expect it.
 
     Args:
@@ -461,8 +509,13 @@ def best_grasps(
         if (np.linalg.norm(taken - np.stack(ends), axis=2).max(axis=1, initial=0.0) < APART_M).any():
             continue
         taken = np.concatenate([taken, np.stack(ends)[None]])
-        if not chosen:
-            ends = completed.refined(lines, int(angle), int(line))
+        find = completed.outer_contacts if chosen else completed.refined
+        outer = find(lines, int(angle), int(line))
+        if outer is None:
+            lines.counts["n_too_wide"] += 1
+            lines.counts["n_free"] -= 1
+            continue
+        ends = outer
         way, blocked = completed.way_in(*ends)
         if way is None:
             lines.counts["n_blocked" if blocked else "n_too_deep"] += 1

@@ -23,6 +23,7 @@ from foretouch.errors import CloudError, FrameError, GraspError
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.completed import (
     COMPLETED_POINTS,
+    MAY_NOT_FIT,
     SCORE_OF_NONE,
     CompletedObject,
     as_in_image,
@@ -210,7 +211,9 @@ def _plan_completed(
             kept = xyz[weighted.inlier > 0.0]
             plan.slide_m = _random_slide(kept, plan.centroid, axis, config.slide_fraction, rng)
     with timed(plan.ms, "completion"):
-        completed = CompletedObject(weighted, spacing, plane, hand, obstacles, plan.slide_m * axis)
+        completed = CompletedObject(
+            weighted, spacing, plane, hand, obstacles, plan.slide_m * axis, neighbours=config.neighbours
+        )
         around = options.get("around")
         counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
@@ -232,8 +235,8 @@ def _plan_completed(
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             grasps, plan.outdone = keep_held(held, held_score, plan.grasps, options.get("hold", 0.0))
             plan.grasps = grasps[: config.count]
-        if around is not None and (lines is not free or len(plan.grasps) > 1 or held is not None):
-            plan.grasps = _flagged(plan.grasps, around)
+        looked_at = lines is not free or len(plan.grasps) > 1 or held is not None
+        plan.grasps = _flagged(plan.grasps, hand, around if looked_at else None)
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
         plan.status, plan.reason = "ok", f"the best of {counts['n_free']} possible grasps ({counts['n_lines']} tried)"
@@ -244,9 +247,12 @@ def _plan_completed(
         plan.reason = why_no_line(lines, hand, obstacles)
 
 
-def _flagged(grasps: Grasps, around: DepthAround) -> Grasps:
-    """Return grasps with the flag of those with a contact beside pixels without depth."""
+def _flagged(grasps: Grasps, hand: HandConfig, around: DepthAround | None) -> Grasps:
+    """Return grasps with the flags of those that may not fit the hand, or have a contact beside pixels without depth."""
     if not grasps:
         return grasps
-    beside = around.beside(grasps.g1, grasps.g2) > 0.0
-    return grasps.replace(flags=objects([(BESIDE_UNSEEN,) if flag else () for flag in beside.tolist()]))
+    tight = [way.width_at_most_m > hand.opening for way in grasps.way]
+    beside = len(grasps) * [False] if around is None else around.beside(grasps.g1, grasps.g2) > 0.0
+    marks = {MAY_NOT_FIT: tight, BESIDE_UNSEEN: beside}
+    flags = [tuple(flag for flag, which in marks.items() if which[k]) for k in range(len(grasps))]
+    return grasps.replace(flags=objects(flags))

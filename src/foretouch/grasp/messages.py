@@ -128,6 +128,7 @@ def _way_of(message: Any) -> WayIn | None:
         arrays["posture"],
         tuple(message.joints),
         message.hand,
+        getattr(message, "width_at_most_m", 0.0) or float("nan"),  # which messages before 0.5 lack
     )
 
 

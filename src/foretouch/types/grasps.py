@@ -37,6 +37,8 @@ class WayIn(Summarised):
     posture: Float64  # (J,) float64 [rad], angles of `joints`
     joints: tuple[str, ...] = ()  # names of J joints
     hand: str = ""  # its description: a name of the package, or the path of a YAML file
+    # Upper bound of the object's width between the contacts, which holds for 95 % [m]: open at least so far
+    width_at_most_m: float = math.nan
 
     def moved(self, pose: Float64) -> Self:
         """Return the same way in another frame, in which `pose` (4, 4) is the frame of this one."""
@@ -108,6 +110,7 @@ class Grasp(Summarised):
                 "hand": way.hand,
                 "approach": way.approach,
                 "depth_m": way.depth_m,
+                "width_at_most_m": way.width_at_most_m,
                 "approaches": way.approaches,
                 "thumb_at": way.thumb_at,
                 "pose_of_hand": {
@@ -225,6 +228,7 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
         if any(way is not None for way in self.way):
             variables["approach"] = Variable(("grasp", "axis"), self.approach)
             variables["depth_m"] = Variable(("grasp",), self.depth_m, "m")
+            variables["width_at_most_m"] = Variable(("grasp",), self.width_at_most_m, "m")
         return LabelledTable(variables, labels_of(NO_CHANNELS))
 
     @classmethod
@@ -304,6 +308,11 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
     def depth_m(self) -> Float64:
         """(K,) float64 [m], how far the object reaches from the line towards the palm; NaN for a grasp without a way in."""
         return self._of_ways("depth_m", np.array(np.nan))
+
+    @property
+    def width_at_most_m(self) -> Float64:
+        """(K,) float64 [m], upper bounds of the objects' widths between the contacts, which hold for 95 %; NaN for a grasp without a way in."""
+        return self._of_ways("width_at_most_m", np.array(np.nan))
 
     @property
     def pose_of_hand(self) -> Float64:

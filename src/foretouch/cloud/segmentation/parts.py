@@ -67,7 +67,7 @@ class SplitConfig(Settings):
         bounds=(0.002, 0.02),
     )
     same_object: float = setting(
-        0.65,
+        0.62,
         "Fragments are joined if the probability that they are one object is higher: less cuts fewer objects, more merges fewer",
         bounds=(0.01, 0.99),
     )

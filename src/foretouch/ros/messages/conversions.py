@@ -143,6 +143,7 @@ def _way_fields(way: WayIn | None) -> dict[str, Any]:
         "hand": way.hand,
         "approach": Vector3(x=x, y=y, z=z),
         "depth_m": way.depth_m,
+        "width_at_most_m": way.width_at_most_m,
         "approaches": array.array("f", np.ascontiguousarray(way.approaches, np.float32).tobytes()),
         "thumb_at": way.thumb_at,
         "pose_of_hand": Pose(position=point_to_msg(at[:3, 3]), orientation=rotation_to_msg(at[:3, :3])),
