@@ -84,7 +84,7 @@ def temporary_model(write: Callable[[Path], Path], predictor: Any = None) -> Tou
 def find_cards(name_or_path: str | Path) -> list[Path]:
     """Paths of the cards of a model, of one or of several with commas between them; see `find_card`."""
     parts = str(name_or_path).split(",")
-    one = len(parts) == 1 or _is_there(Path(name_or_path))
+    one = len(parts) == 1 or _is_there(Path(str(name_or_path)))
     return [find_card(name_or_path)] if one else [find_card(part.strip()) for part in parts]
 
 

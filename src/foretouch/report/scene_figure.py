@@ -55,9 +55,8 @@ def draw_scene(
         GraspError: If the grasps are no sequence.
         FileError: If the file cannot be written.
     """
-    if not isinstance(scene, Scene | Object):
-        raise ConfigError(f"scene: {type(scene).__name__} is neither a Scene, such as of segment(cloud), nor an Object")
-    grasps = touch.grasps if grasps is None and touch is not None else Grasps.of(grasps or [])
+    _check_types(scene, touch)
+    grasps = touch.grasps if grasps is None and touch is not None else Grasps.of([] if grasps is None else grasps)
     grasp = None
     if len(grasps):
         if not 0 <= number < len(grasps):
@@ -90,6 +89,14 @@ def draw_scene(
     if path is not None:
         save(figure, as_path(path))
     return without_formulas(figure)
+
+
+def _check_types(scene: object, touch: object) -> None:
+    """Refuse what is neither a scene nor an object, or no predictions; a `ConfigError`."""
+    if not isinstance(scene, Scene | Object):
+        raise ConfigError(f"scene: {type(scene).__name__} is neither a Scene, such as of segment(cloud), nor an Object")
+    if not isinstance(touch, Predictions | None):
+        raise ConfigError(f"touch: {type(touch).__name__} is not Predictions, such as of model.predict(object, grasps)")
 
 
 def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:

@@ -55,6 +55,16 @@ def numbers(value: Any, name: str, fault: type[ForetouchError]) -> Float64:
     raise fault(f"{name}: {shown(value)} is not of numbers{why and ': '}{why}")
 
 
+def scalar(value: Any, name: str, fault: type[ForetouchError]) -> float:
+    """Convert one number to float, as `numbers` does, with its errors; also one if there are several."""
+    if type(value) is float:
+        return value
+    array = numbers(value, name, fault)
+    if array.ndim:
+        raise fault(f"{name}: shape {array.shape} is not a single number")
+    return float(array)
+
+
 def unmasked(value: Any) -> AnyArray:
     """Return what NumPy makes an array of as an array, in which what is masked is missing: NaN, NaT or None.
 

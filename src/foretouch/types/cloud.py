@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError, quoted, shown
-from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8, numbers, unmasked
+from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8, numbers, scalar, unmasked
 from foretouch.types.camera import CameraModel, DepthImage, as_image, check_image
 from foretouch.types.summary import Summarised
 
@@ -47,7 +47,7 @@ class Cloud(Summarised):
             raise CloudError(f"xyz: shape {self.xyz.shape} is neither (N, 3) nor (H, W, 3)")
         if self.rgb is not None:
             if type(self.rgb) is not np.ndarray:
-                object.__setattr__(self, "rgb", np.asarray(np.ma.filled(self.rgb, 0)))
+                object.__setattr__(self, "rgb", _as_colours(self.rgb))
             if self.rgb.shape != self.xyz.shape:
                 raise CloudError(f"rgb: shape {self.rgb.shape} differs from xyz, {self.xyz.shape}")
             if self.rgb.dtype != np.uint8:
@@ -91,7 +91,7 @@ class Cloud(Summarised):
             K = CameraModel.of(K, width, height, distortion)  # noqa: N806
         elif distortion is not None:
             raise CloudError("distortion: is given twice, here and in the CameraModel")
-        colours = None if rgb is None else np.array(np.ma.filled(rgb, 0))
+        colours = None if rgb is None else _as_colours(rgb).copy()
         return DepthCloud.of(DepthImage(image, K, scale), colours, frame_id, stamp_ns)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
@@ -227,6 +227,14 @@ def _as_float32(xyz: Any) -> Float32:
     return points
 
 
+def _as_colours(rgb: Any) -> AnyArray:
+    """Return colours as an array, masked ones black; a `CloudError` if they are no array."""
+    try:
+        return np.asarray(np.ma.filled(rgb, 0))
+    except (ValueError, TypeError) as err:
+        raise CloudError(f"rgb: {shown(rgb)} is not an array of uint8") from err
+
+
 def _check_header(frame_id: object, stamp_ns: object) -> None:
     if not isinstance(frame_id, str):
         raise CloudError(f"frame_id: {quoted(frame_id)} is not a text")
@@ -251,10 +259,12 @@ class Plane(Summarised):
         if normal.shape != (3,):
             raise CloudError(f"normal: shape {normal.shape} is not (3,)")
         length = math.hypot(*normal.tolist())
-        if not abs(length - 1.0) < _UNIT or not math.isfinite(self.offset):
+        offset = scalar(self.offset, "offset", CloudError)
+        if not abs(length - 1.0) < _UNIT or not math.isfinite(offset):
             rule = "is not 1, or the offset is not finite; Plane.from_coefficients((a, b, c, d)) takes any length"
             raise CloudError(f"normal: length {length:g} of {normal.tolist()} with offset {self.offset!r} {rule}")
         object.__setattr__(self, "normal", normal)
+        object.__setattr__(self, "offset", offset)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         return (

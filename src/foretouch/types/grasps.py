@@ -8,8 +8,8 @@ from typing import Any, ClassVar, Literal, Self, overload
 
 import numpy as np
 
-from foretouch.errors import ForetouchError, GraspError, shown
-from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain
+from foretouch.errors import ForetouchError, GraspError, quoted, shown
+from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain, scalar
 from foretouch.types.channels import NO_CHANNELS
 from foretouch.types.rotations import are_absent, check_rotation, quaternion_xyzw, require_rotations
 from foretouch.types.summary import Summarised, names_of, spread, tallied
@@ -76,6 +76,9 @@ class Grasp(Summarised):
             if array.shape != shape:
                 raise GraspError(f"{name}: shape {array.shape} is not {shape}")
             object.__setattr__(self, name, array)
+        object.__setattr__(self, "score", scalar(self.score, "score", GraspError))
+        if not isinstance(self.id, str):
+            raise GraspError(f"id: {quoted(self.id)} is not a text")
         if fault := contact_faults(self.g1[None], self.g2[None], self.rotation[None])[0]:
             raise GraspError(fault)
         if self.rotation.any():

@@ -24,6 +24,9 @@ UNKNOWN_FRAME: Final = "unknown_frame"
 """Flag of the answer to a request in another frame than the graph's clouds, where no transform is known."""
 
 
+_NO_CHANNELS: Final = "channels: {} is not Channels, such as model.sensor.channels"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Touch(Summarised):
     """A tactile reading of both fingers, in the unit of each channel.
@@ -37,9 +40,7 @@ class Touch(Summarised):
 
     def __post_init__(self) -> None:
         if not isinstance(self.channels, Channels):
-            raise TactileError(
-                f"channels: {type(self.channels).__name__} is not Channels, such as model.sensor.channels"
-            )
+            raise TactileError(_NO_CHANNELS.format(type(self.channels).__name__))
         values = numbers(self.values, "touch", TactileError)
         if values.shape != (self.channels.size,):
             raise TactileError(f"touch: shape {values.shape} is not ({self.channels.size},) of {self.channels.sensor}")
@@ -147,8 +148,11 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
     evidence: Objects = column(default=_NO_EVIDENCE, dtype=object)  # (K,) `Evidence`, the readings behind `reference`
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "value", numbers(self.value, "value", TactileError))
+        if not isinstance(self.channels, Channels):
+            raise TactileError(_NO_CHANNELS.format(type(self.channels).__name__))
         for name in ("lower", "upper"):
-            if np.ndim(getattr(self, name)) == 0:
+            if numbers(getattr(self, name), name, TactileError).ndim == 0:
                 object.__setattr__(self, name, np.full(np.shape(self.value), np.nan))
         super().__post_init__()
         size = self.channels.size

@@ -208,3 +208,10 @@ def test_numpy_files_of_other_content_unknown_endings_and_missing_files_are_refu
             read_cloud(tmp_path / f"none{suffix}")
         with pytest.raises(FileError, match="No such file"):
             write_cloud(tmp_path / "none" / f"a{suffix}", Cloud(np.zeros((1, 3), np.float32)))
+
+
+def test_a_refusal_of_an_array_names_no_content_of_another_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    path.write_bytes(b"root:x:0:0:root\n")
+    with pytest.raises(FileError, match=r"a\.npy: is no \.npy array: it does not begin as one$"):
+        read_cloud(path)

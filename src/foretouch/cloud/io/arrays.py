@@ -72,6 +72,8 @@ def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
 
 def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
     formats, stream = np.lib.format, io.BytesIO(content)
+    if content and not content.startswith(formats.MAGIC_PREFIX):  # NumPy prints what is there instead
+        raise FileError(path, "is no .npy array: it does not begin as one", field=field)
     try:
         first = formats.read_magic(stream) == (1, 0)
         read_header = formats.read_array_header_1_0 if first else formats.read_array_header_2_0

@@ -45,6 +45,10 @@ def read_cloud(path: str | Path, camera: DepthCamera | None = None) -> Cloud:
         FileError: With the file, the field and the rule; also if the file cannot be read or is truncated.
     """
     path = as_path(path)
+    if not isinstance(camera, DepthCamera | None):
+        raise CloudError(
+            f"camera: {type(camera).__name__} is not a DepthCamera; Cloud.from_depth(depth, K) takes a matrix"
+        )
     suffix = path.suffix.lower()
     if suffix not in (*_READERS, ".npz", ".npy", *IMAGE_SUFFIXES):
         raise FileError(path, f"the extension is not one of {', '.join((*CLOUD_SUFFIXES, *IMAGE_SUFFIXES))}")
@@ -70,7 +74,9 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
     Raises:
         FileError: If the extension is another, or the file cannot be written.
     """
-    path = Path(path)
+    path = as_path(path)
+    if not isinstance(cloud, Cloud):
+        raise CloudError(f"cloud: {type(cloud).__name__} is not a Cloud, such as Cloud(xyz)")
     content = _CONTENTS.get(path.suffix.lower())
     if content is None:
         raise FileError(path, f"the extension is not one of {', '.join(CLOUD_SUFFIXES)}")

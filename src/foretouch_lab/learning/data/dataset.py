@@ -2,7 +2,7 @@
 """A dataset: its samples, their hash, and the parts that a model is trained and tested on."""
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -235,7 +235,12 @@ def dataset_from(samples: SampleSet | Sequence[Sample] | str | Path) -> Dataset:
         return load_dataset(samples)
     if isinstance(samples, SampleSet):
         return dataset_of(list(samples), samples.path.name, samples.sensor)
-    return dataset_of(list(samples))
+    listed = list(samples) if isinstance(samples, Iterable) else [samples]
+    for number, sample in enumerate(listed):
+        if not isinstance(sample, Sample):
+            rule = "is not a Sample; pass a list of them, the path of a dataset, or what open(PATH) gives"
+            raise DatasetError(f"samples: {number}: {type(sample).__name__} {rule}")
+    return dataset_of(listed)
 
 
 def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:
