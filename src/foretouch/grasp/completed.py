@@ -48,7 +48,6 @@ _NEAR = 2  # lines and directions on either side, of which the best grasp is a m
 _END_SHARE = 0.03  # of the points of a line that are beyond either end, while lines are compared
 _OUTER_SHARES = np.linspace(0.0025, 0.0125, 21)  # of the chosen line: its contacts are at the mean of these quantiles
 _WIDER, _WIDER_M = 0.11, 0.002  # by how much more an object may be wider than it seems, of its width and besides
-_INSIDE = 0.05  # of the distance between the ends of a line, by which the object is longer
 _UPRIGHT = 0.25  # of the points, which the camera sees nearly upright, so that their distances are those in the image
 _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
 _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
@@ -230,7 +229,7 @@ class CompletedObject:
         counts["n_too_deep"] = 0
         counts["n_free"] = int(np.count_nonzero(left))
         every = np.minimum(
-            np.nan_to_num(self._cost(self._width(low, high), slope, solid, deeper, raised), nan=_MOST_COST), _MOST_COST
+            np.nan_to_num(self._cost(high - low, slope, solid, deeper, raised), nan=_MOST_COST), _MOST_COST
         )
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
@@ -269,14 +268,10 @@ class CompletedObject:
         low, high, height, top, blocker = measured[:5]
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius),
-            "n_too_wide": self._width(low, high) > self._hand.opening,
+            "n_too_wide": high - low > self._hand.opening,
             "n_too_thin": high - low < _THIN_M,
             "n_blocked": blocker >= 0.0,
         }
-
-    def _width(self, low: Float64, high: Float64) -> Float64:
-        """Estimate how wide the object is, from the ends of lines [m]: these are means of points, which lie inside of it."""
-        return (1.0 + _INSIDE) * (high - low) + self._step_m
 
     def _cost(self, width: Float64, slope: Float64, solid: Float64, deeper: Float64, raised: Float64) -> Float64:
         """Return what speaks against each line, with the slopes of both ends (2, ...), how certainly the object is there, and the last two of `_close`."""
@@ -299,12 +294,12 @@ class CompletedObject:
         values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
         return self._ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
 
-    def outer_contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64] | None:
-        """Return the contacts of a line where the object ends; None if it is wider there than the hand opens."""
+    def outer_contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
+        """Return the contacts of a line where the object ends, and no farther apart than the hand opens."""
         values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
         return self._outer_ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
 
-    def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64] | None:
+    def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """Return the outer contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused.
 
         Args:
@@ -329,8 +324,8 @@ class CompletedObject:
 
     def _outer_ends(
         self, turn: float, beside_m: float, low: float, high: float, height: float
-    ) -> tuple[Float64, Float64] | None:
-        """Move the ends of a line outwards to where the object ends; None if that is wider than the hand opens.
+    ) -> tuple[Float64, Float64]:
+        """Move the ends of a line outwards to where the object ends, but no farther apart than the hand opens.
 
         It ends half a step of the grid of points beyond the outermost ones, at the height of a fingertip and above.
         """
@@ -342,7 +337,8 @@ class CompletedObject:
         if len(along):
             low = min(low, _outermost(along, weights) - 0.5 * self._step_m)
             high = max(high, 0.5 * self._step_m - _outermost(-along, weights))
-        return None if high - low > self._hand.opening else self._ends(turn, beside_m, low, high, height)
+        beyond = max(high - low - (1.0 - 1e-9) * self._hand.opening, 0.0) / 2.0  # less than it, also rounded
+        return self._ends(turn, beside_m, low + beyond, high - beyond, height)
 
     def _ends(self, turn: float, beside_m: float, low: float, high: float, height: float) -> tuple[Float64, Float64]:
         along = np.cos(turn) * self._basis[0] + np.sin(turn) * self._basis[1]
@@ -488,7 +484,7 @@ def best_grasps(
 ) -> list[tuple[tuple[Float64, Float64], WayIn, float]]:
     """Choose lines to which the hand can come, best first; each differs from all better ones by a contact.
 
-    Lines to which it cannot are added to the counts `n_too_wide`, `n_too_deep` and `n_blocked`. The contact of the thumb
+    Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`. The contact of the thumb
     is g1, where touch models expect it.
 
     Args:
@@ -510,12 +506,7 @@ def best_grasps(
             continue
         taken = np.concatenate([taken, np.stack(ends)[None]])
         find = completed.outer_contacts if chosen else completed.refined
-        outer = find(lines, int(angle), int(line))
-        if outer is None:
-            lines.counts["n_too_wide"] += 1
-            lines.counts["n_free"] -= 1
-            continue
-        ends = outer
+        ends = find(lines, int(angle), int(line))
         way, blocked = completed.way_in(*ends)
         if way is None:
             lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
