@@ -6,4 +6,4 @@ RUN apt-get update && apt-get install -y --no-install-recommends g++ git python3
 WORKDIR /ws
 COPY . src/foretouch
 RUN bash src/foretouch/docker/check.sh --report /ws/build-report.txt rosdep environment build
-CMD ["bash", "src/foretouch/docker/check.sh", "machine", "doctor", "interfaces", "launch_files", "scene", "bag", "tests"]
+CMD ["bash", "src/foretouch/docker/check.sh", "machine", "doctor", "interfaces", "launch_files", "typed", "scene", "bag", "tests"]

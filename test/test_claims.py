@@ -166,7 +166,7 @@ def verdicts_of_vision() -> list[str]:
 CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
     "README.md": [
         ("explain {} of the variance of the thumb's electrodes", lambda: known("history + touches + last temperature", "contact", "first three")[:1]),
-        ("the camera adds 0.03 from the fourth grasp", lambda: [f"{float(gains('mean')[0]):.2f}"] == ["0.03"]),
+        ("From the fourth grasp of an object, adding the camera raises this by 0.03", lambda: [f"{float(gains('mean')[0]):.2f}"] == ["0.03"]),
     ],
     "docs/models.md": [
         *(
