@@ -92,7 +92,7 @@ def test_a_topic_of_depth_images_is_answered_until_the_count(environment) -> Non
     assert 3 == last["answered"] <= last["played"] <= 5, "what comes after the last answer does not count"
 
 
-CAMERA = {
+CAMERA_OPTIONS = {
     "--intrinsics": "1,1,1,1",
     "--camera-info": "a.yaml",
     "--info-topic": "/a",
@@ -123,12 +123,12 @@ def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
         *(
             (("run", "--source", source, option, value), f"{option}: {played} {source} is")
             for source in ("/a/b", "camera", "s.yaml")
-            for option, value in CAMERA.items()
+            for option, value in CAMERA_OPTIONS.items()
         ),
         *(
             ((command, *source, image, option, value), f"{image}: holds points: leave out {option}, which is for depth")
             for command, source in (("run", ("--source",)), ("replay", ()))
-            for option, value in CAMERA.items()
+            for option, value in CAMERA_OPTIONS.items()
             if option != "--info-topic"
         ),
         (("replay", image, "--info-topic", "/a"), f"{image}: is not a recording, so it has no topic /a"),
