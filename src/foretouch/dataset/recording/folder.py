@@ -120,7 +120,8 @@ def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None
         try:
             yield
         finally:
-            if is_new and not session_files(path):  # nothing was recorded, so the next one may be of another hand
+            # Nothing was recorded or checked, so the next one may be of another hand.
+            if is_new and all(_is_left_over(entry.name) for entry in path.iterdir() if entry.name != _MANIFEST):
                 (path / _MANIFEST).unlink(missing_ok=True)
 
 
