@@ -121,7 +121,7 @@ def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None
             yield
         finally:
             # Nothing was recorded or checked, so the next one may be of another hand.
-            if is_new and all(_is_left_over(entry.name) for entry in path.iterdir() if entry.name != _MANIFEST):
+            if is_new and all(_is_left_over(file.name) for file in path.glob("*") if file.name != _MANIFEST):
                 (path / _MANIFEST).unlink(missing_ok=True)
 
 
