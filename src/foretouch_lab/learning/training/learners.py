@@ -194,7 +194,8 @@ class NetworkLearner(Learner):
         train = self.split.train[self._chosen]
         trainer: Trainer
         if self.config.method == "srgan":
-            trainer = SrganTrainer(prepared, train, self.split.unlabelled, self.config.srgan)
+            held_out = np.setdiff1d(self.split.train, train)
+            trainer = SrganTrainer(prepared, train, np.setdiff1d(self.split.unlabelled, held_out), self.config.srgan)
         else:
             trainer = SupervisedTrainer(prepared, train, self.config.train)
         if run is not None and run.resumed:
@@ -236,7 +237,7 @@ class NetworkLearner(Learner):
         return Fallback.fit(BIOTAC, self._objects[self._chosen], self.labels[self._chosen])
 
 
-def make_learner(config: RunConfig, data: Dataset) -> Learner:
-    """Return the learner of the configured method for the configured part of a dataset."""
-    split = data.partition(config.split)
+def make_learner(config: RunConfig, data: Dataset, split: Fold | None = None) -> Learner:
+    """Return the learner of the configured method for a part of a dataset, by default the configured one."""
+    split = data.partition(config.split) if split is None else split
     return (NetworkLearner if config.has_network else ContactLearner)(config, data, split)
