@@ -74,6 +74,8 @@ class Estimate(Summarised):
         if estimate.familiar is None:
             return replace(estimate, counts=counts)
         familiar = np.asarray(estimate.familiar, np.bool_)
+        if counts is estimate.counts and familiar is estimate.familiar and familiar.shape == (rows,):
+            return estimate
         if familiar.shape != (rows,):
             raise ModelError(f"estimate: returned familiar of shape {familiar.shape}; {rows} grasps need ({rows},)")
         return replace(estimate, counts=counts, familiar=familiar)

@@ -27,7 +27,7 @@ from foretouch.grasp.pose import closing_faults, joined_faults
 from foretouch.grasp.reach import DEFAULT_REACH, OFF_OBJECT, ReachConfig, in_the_air, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.card import OWN, card_sensor
-from foretouch.models.equal_pressure import flag_equal_pressures
+from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_pressures
 from foretouch.models.files import under
 from foretouch.models.history_file import pack_history, to_bytes, to_text, unpack_history
 from foretouch.models.predictor import Estimate, Predictor
@@ -38,7 +38,7 @@ from foretouch.tactile.description import require_same
 from foretouch.types import AnyArray, Cloud, Evidence, Float64, Grasp, Grasps, Plane, Predictions, Reference, Touch
 from foretouch.types.arrays import numbers, objects
 from foretouch.types.grasps import contact_faults
-from foretouch.types.rotations import are_absent, fault_texts, require_none, rotation_faults
+from foretouch.types.rotations import are_absent, fault_texts, require_none
 from foretouch.types.scene import Object
 from foretouch.types.summary import Summarised, briefly, counted, names_of
 
@@ -216,17 +216,19 @@ class TouchModel(Summarised):
         usable = np.array([not fault for fault in faults], np.bool_)
         graspable = columns if usable.all() else columns.take(usable)
         predictions = self._predict(cloud, graspable, tare, history, table)  # a useless cloud is named first
-        predictions = predictions.flagged(OFF_OBJECT, in_the_air(graspable, cloud.xyz))
-        if table is None or table.assumed:
-            predictions = predictions.flagged(NO_TABLE)
+        off = np.zeros(len(columns), np.bool_)
+        off[usable] = in_the_air(graspable, cloud.xyz)
         if not usable.all():
             refused = Predictions.refused(columns, self.sensor.channels, "bad_grasp", faults)
             predictions = refused.put(usable, predictions)
-        for flag in flags:
-            predictions = predictions.flagged(flag)
-        for flag in dict.fromkeys(flag for own in columns.flags for flag in own):
-            predictions = predictions.flagged(flag, np.array([flag in own for own in columns.flags]))
-        return flag_equal_pressures(predictions, self)
+        of_grasps = dict.fromkeys(flag for own in columns.flags for flag in own)
+        return predictions.marked(
+            (OFF_OBJECT, off),
+            (NO_TABLE, usable if table is None or table.assumed else False),
+            *((flag, True) for flag in flags),
+            *((flag, np.array([flag in own for own in columns.flags])) for flag in of_grasps),
+            (EQUAL_PRESSURE, equal_pressures(predictions, self)),
+        )
 
     def _predict(
         self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: "History | None", table: Plane | None
@@ -355,20 +357,16 @@ class TouchModel(Summarised):
         finite = np.asarray(np.isfinite(counts).all(axis=1), np.bool_)
         outside = self.ranges.outside(counts).any(axis=1) & finite
         unknown = finite & (False if estimate.familiar is None else ~estimate.familiar)
-        marks = {"out_of_range": outside, "unfamiliar": unknown}
-        marks |= {flag: rows & unknown for flag, rows in estimate.reasons.items()}
-        marked = {flag: rows.tolist() for flag, rows in marks.items() if rows.any()}
-        flags = [tuple(flag for flag, rows in marked.items() if rows[k]) for k in range(len(grasps))]
+        reasons = ((flag, rows & unknown) for flag, rows in estimate.reasons.items())
         predictions = Predictions(
             counts,
             grasps,
             self.sensor.channels,
             counts - half,
             counts + half,
-            flags=objects(flags),
             reference=objects([reference] * len(grasps)),
             evidence=objects([evidence] * len(grasps)),
-        )
+        ).marked(("out_of_range", outside), ("unfamiliar", unknown), *reasons)
         if finite.all():
             return predictions
         refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", _NOT_FINITE)
@@ -725,7 +723,6 @@ def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: fl
     return joined_faults(
         contact_faults(grasps.g1, grasps.g2, grasps.rotation),
         fault_texts(~are_absent(grasps.rotation), lambda _: _NO_ROTATION),
-        rotation_faults(grasps.rotation),
         reach_faults(grasps, cloud.xyz, max_width_m, max_distance_m),
         closing_faults(grasps),
     )
