@@ -14,6 +14,7 @@ from foretouch.types import Bool, Float64, Floating, Grasp, Grasps, Index
 from foretouch.types.rotations import require_none
 
 _SAMPLED = 256  # points tried first: one within reach is sufficient
+_FIRST, _WIDE_M = 16, 0.05  # one in sixteen of them is sufficient for most contacts from this distance on
 _TOGETHER = 8192  # pairs of a point and a contact at a time
 _SURELY, _ROUNDED = 0.9, 0.05  # of a distance: a contact that float32 moves by less of it and has nearer is within it
 _OFF_M = 0.02  # from the object and what it hides, where a contact is in the air; planned ones are nearer
@@ -99,7 +100,8 @@ def _off(
     A sample of the points is tried first: it is within reach of most contacts.
     """
     few = points[:: max(1, len(points) // _SAMPLED)]
-    left = np.flatnonzero(~_surely_near(few, contacts, distance_m))
+    first = few if distance_m < _WIDE_M else few[_FIRST // 2 :: _FIRST]
+    left = np.flatnonzero(~_surely_near(first, contacts, distance_m))
     step = max(16, _TOGETHER // max(1, len(left)))
     for k in range(0, len(few), step):
         if not left.size:

@@ -59,8 +59,9 @@ def scale_of(model: Scaled) -> tuple[Touch | None, Ranges]:
 
 def predicted_pressures(predictions: Predictions, model: Scaled) -> Float64:
     """Return (3, K, F) how hard each finger presses in predictions of a model, and its bounds (see `TaxelView.pressures`); NaN for none."""
-    rows = np.stack([predictions.value, predictions.lower, predictions.upper])
-    return TaxelView(model.sensor).pressures(rows, *scale_of(model))
+    view, scale = TaxelView(model.sensor), scale_of(model)
+    ends = (predictions.value, predictions.lower, predictions.upper)
+    return np.stack([view.pressures(rows, *scale) for rows in ends])
 
 
 def equal_pressures(predictions: Predictions, model: Scaled) -> Bool:

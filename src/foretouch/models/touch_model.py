@@ -77,6 +77,13 @@ class TouchModel(Summarised):
     """
 
     def __init__(self, predictor: Predictor, card: Mapping[str, Any], calibration: Calibration | None = None) -> None:
+        if not callable(getattr(predictor, "estimate", None)):
+            raise ModelError(f"predictor: {shown(predictor)} has no estimate(cloud, grasps, table=None)")
+        if not isinstance(card, Mapping) or not all(isinstance(card.get(name), str) for name in ("name", "sha256")):
+            rule = "holds no name and sha256; load_model(…) reads a card, and calibrate(predictor, samples) makes one"
+            raise ModelError(f"card: {shown(card)} {rule}")
+        if not isinstance(calibration, Calibration | None):
+            raise ModelError(f"calibration: {type(calibration).__name__} is not a Calibration")
         self.name: str = card["name"]
         self.sha256: str = card["sha256"]
         self.card = dict(card)

@@ -153,7 +153,7 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
         if not isinstance(self.channels, Channels):
             raise TactileError(_NO_CHANNELS.format(type(self.channels).__name__))
         for name in ("lower", "upper"):
-            if numbers(getattr(self, name), name, TactileError).ndim == 0:
+            if (end := numbers(getattr(self, name), name, TactileError)).ndim == 0 and np.isnan(end):
                 object.__setattr__(self, name, np.full(np.shape(self.value), np.nan))
         super().__post_init__()
         size = self.channels.size
@@ -222,9 +222,11 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
         """Return the same predictions with further flags: pairs of a name, and of the rows as of `flagged`; in this order."""
         flags = self.flags.tolist()
         for flag, rows in marks:
-            if rows is True:
+            if rows is False or not (rows is True or rows.any()):
+                continue
+            if rows is True or rows.all():
                 flags = [(*own, flag) for own in flags]
-            elif rows is not False and rows.any():
+            else:
                 flags = [(*own, flag) if mark else own for own, mark in zip(flags, rows.tolist(), strict=True)]
         result = copy.copy(self)  # whose other columns are checked
         object.__setattr__(result, "flags", objects(flags))

@@ -32,7 +32,7 @@ from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.framework.manifest import cell_seconds
 from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch_lab.experiments.shared.predictors import PREDICTORS
-from foretouch_lab.experiments.shared.scores import interval_columns
+from foretouch_lab.experiments.shared.scores import skill_table
 from foretouch_lab.experiments.shared.tables import SIGNS, grouped, pivot, select, short, unique, with_notes
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.folds import SPLITS
@@ -182,31 +182,23 @@ def _evaluated(
 
 
 def _table(settings: LeaderboardSettings, scored: _Scored, seconds: Mapping[tuple[str, str], float]) -> list[Row]:
-    """Return a row for each split, predictor and modality, with the processor time of its cells [s]."""
+    """Return a row for each split, predictor and modality, with the processor time of its folds [s]."""
     result: list[Row] = []
     for split, by_name in scored.items():
         order = [name for name in (*settings.baselines, *settings.models) if name in by_name]
         errors = {name: ObjectErrors.pooled([one.errors[split][name] for one in by_name[name]]) for name in order}
-        estimates = {name: skills(one, settings.bootstrap) for name, one in errors.items()}
-        known = [name for name in settings.baselines if name in errors]
-        best = max(known, key=lambda name: estimates[name][MEAN].value) if known else None
+        known = {name: skills(errors[name], settings.bootstrap)[MEAN].value for name in order if name in _BASELINES}
+        best = max(known, key=lambda name: known[name]) if known else None
         for name in order:
             versus = None if best in {None, name} else _versus(errors[name], errors[str(best)], settings.bootstrap)
-            first, rmse = by_name[name][0], errors[name].rmse()
-            note, sha256 = first.notes
+            note, sha256 = by_name[name][0].notes
             head = {"split": split, "predictor": name, "note": note, "hash": sha256}
-            head |= {"seeds": " ".join(map(str, settings.seeds)), "samples": first.samples[split]}
+            head |= {"seeds": " ".join(map(str, settings.seeds)), "samples": by_name[name][0].samples[split]}
             head |= {"objects": len(errors[name].objects), "best_baseline": best}
-            for modality, estimate in estimates[name].items():
-                parts = [one.scores[split][name][modality] for one in by_name[name] if modality != MEAN]
-                difference = None if versus is None else versus[modality]
-                result.append({
-                    **head, "modality": modality, "rmse": rmse.get(modality), **interval_columns("skill", estimate),
-                    **interval_columns("vs_best", difference),
-                    "vs_best_verdict": None if difference is None else difference.verdict,
-                    **{key: _mean(parts, key) for key in ("coverage90", "interval_score")},
-                    "cpu_s": seconds.get((name, predicted_once(split))),
-                })  # fmt: skip
+            for row in skill_table(head, errors[name], settings.bootstrap, {"best": versus}):
+                parts = [one.scores[split][name].get(row["modality"], {}) for one in by_name[name]]
+                row |= {key: _mean(parts, key) for key in ("coverage90", "interval_score")}
+                result.append({**row, "cpu_s": seconds.get((name, predicted_once(split)))})
     return result
 
 
@@ -216,7 +208,8 @@ def _versus(errors: ObjectErrors, other: ObjectErrors, bootstrap: BootstrapConfi
 
 
 def _mean(rows: Sequence[Row], key: str) -> float | None:
-    return sum(row[key] for row in rows) / len(rows) if rows else None
+    """Return the mean of a column; None for the mean of the modalities, whose units differ."""
+    return sum(row[key] for row in rows) / len(rows) if all(key in row for row in rows) else None
 
 
 _NOTES: Final = (
