@@ -23,7 +23,7 @@ from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.cloud.io.mask_files import MASK_SUFFIXES
 from foretouch.config import EMPTY, load_yaml
 from foretouch.errors import CloudError, ConfigError, FileError, described, none_of, shown
-from foretouch.files import parse_json, read_bytes, require_existing
+from foretouch.files import json_in, read_bytes, require_existing
 from foretouch.types import AnyArray, CameraModel, Cloud
 from foretouch.types.camera import MODELS, check_image
 
@@ -336,7 +336,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 _READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
     ".mat": _read_mat,
     ".txt": _read_text,
-    ".json": lambda path: parse_json(read_bytes(path, _LIMIT)),
+    ".json": lambda path: json_in(path, read_bytes(path, _LIMIT)),
     ".yaml": _read_yaml,
     ".yml": _read_yaml,
 }
