@@ -14,7 +14,7 @@ from PIL import Image
 from foretouch import History, Sample, TouchModel, load_model
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
-from foretouch_lab.simulation.scene import load_scene
+from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.scene_camera import FrameMaker
 from foretouch_lab.simulation.simulate import Simulation
 
@@ -46,9 +46,9 @@ def grasp_before_and_after(model: TouchModel, samples: list[Sample], frames: Fra
     )
 
 
-def grasps_to_draw(scene_path: str | Path) -> list[DrawnGrasp]:
+def grasps_to_draw(scene: SceneConfig) -> list[DrawnGrasp]:
     """Predict a grasp of each object of a scene before and after the touches, by the model of the simulated hand."""
-    scene, model = load_scene(scene_path), load_model("simulated")
+    model = load_model("simulated")
     frames, samples = FrameMaker(scene), list(Simulation(scene).samples(SAMPLES, workers=1))
     visits = [list(visit) for _, visit in groupby(samples, key=lambda sample: sample.object)]
     return [grasp_before_and_after(model, visit[: TOUCHES + 1], frames) for visit in visits if len(visit) > TOUCHES]
@@ -56,7 +56,7 @@ def grasps_to_draw(scene_path: str | Path) -> list[DrawnGrasp]:
 
 def main(scene_path: str = str(ROOT / "config" / "scenes" / "demo.yaml"), picture: str = "touch.png") -> None:
     """Draw the picture."""
-    path = save_touch_picture(picture, grasps_to_draw(scene_path))
+    path = save_touch_picture(picture, grasps_to_draw(load_scene(scene_path)))
     Image.open(path).convert("RGB").quantize(COLOURS).save(path, optimize=True)  # a third of the size
     print(path)
 

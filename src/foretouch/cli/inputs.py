@@ -116,6 +116,11 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "M",
         "help": "metres per unit of the depth images (default: what the file or recording states, else 0.001 for 16 bits, 1 for floats)",
     },
+    "--color": {
+        "metavar": "FILE",
+        "help": "colours of the pixels of a single depth image: .png or .jpg of its size, aligned with it; they are drawn, and models of kind xyzrgb use them "
+        "(default: what the file or folder states)",
+    },
     "--mask": {
         "metavar": "FILE",
         "help": "labels of the objects in the image of a single input (.png with a label a pixel, .npy, or .npz with `mask`, `label` or `segmap`): they become the "
@@ -181,7 +186,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments that several commands share, by name."""
 
-CAMERA: Final = ("--intrinsics", "--camera-info", "--info-topic", "--rectified", "--depth-scale")
+CAMERA: Final = ("--intrinsics", "--camera-info", "--info-topic", "--rectified", "--depth-scale", "--color")
 READ: Final = ("inputs", "--topic", "--config", "--set", *CAMERA, "--mask", "--picture", "--panels")
 PLANNED: Final = ("--plane", "--scene", "--target", "--hand")
 CHOSEN: Final = ("--pixel", "--point")
@@ -241,6 +246,7 @@ def depth_camera(arguments: argparse.Namespace) -> DepthCamera:
         scale=arguments.depth_scale,
         rectified=None if arguments.rectified is None else arguments.rectified == "yes",
         info_topic=arguments.info_topic or "",
+        color=arguments.color or "",
     )
 
 
@@ -250,7 +256,7 @@ def check_single(arguments: argparse.Namespace) -> None:
     Raises:
         ConfigError: Names the option.
     """
-    for name in ("mask", "picture"):
+    for name in ("mask", "color", "picture"):
         if getattr(arguments, name) and len(arguments.inputs) > 1:
             raise ConfigError(f"--{name}: requires one input, not {len(arguments.inputs)}")
     if getattr(arguments, "pixel", None) and getattr(arguments, "point", None):

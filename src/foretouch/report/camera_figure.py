@@ -66,10 +66,11 @@ def draw_scene_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
     draw_camera(axes, scene.cloud, areas, table=scene.outline, grasp=grasp)
 
 
-def area_of(target: Object) -> Bool:
-    """Return (H, W) which pixels of its image an object has."""
-    inside = np.zeros(target.image_shape or (0, 0), np.bool_)
-    inside.flat[target.pixels] = True
+def area_of(target: Object, cloud: Cloud) -> Bool:
+    """Return (H, W) which pixels of an image an object has; its own image may be smaller, as of one that was received."""
+    inside = np.zeros(cloud.xyz.shape[:2], np.bool_)
+    if target.image_shape is not None:
+        inside[np.divmod(target.pixels, target.image_shape[1])] = True
     return inside
 
 

@@ -91,7 +91,7 @@ def save_touch_picture(
     if all_columns:
         axes = below.subplots()
         axes.set_axis_off()
-        scale.add_bar(below, axes, fraction=1.0, aspect=45)
+        scale.add_bar(below, axes, fraction=1.0, shrink=0.85, aspect=45)
     return save(figure, Path(path), dpi=120)
 
 
@@ -179,7 +179,7 @@ def _draw_seen(axes: Axes, grasp: DrawnGrasp, target: Object, view: TaxelView, *
         _draw_front(axes, target.cloud, grasp.prediction.grasp, view.fingers)
         return
     name = f"object {target.id}" if target.id.isdecimal() else target.id
-    draw_camera(axes, cloud, {name: area_of(target)}, grasp=grasp.prediction.grasp, around=0.7)
+    draw_camera(axes, cloud, {name: area_of(target, cloud)}, grasp=grasp.prediction.grasp, around=0.7)
     width = f"{1e3 * grasp.prediction.grasp.width_m:.0f} mm wide"
     axes.set_title(f"what the camera sees, {target.distance_m:.2f} m away,\nand the grasp, {width}", fontsize=TEXT_PT)
 
