@@ -118,7 +118,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--color": {
         "metavar": "FILE",
-        "help": "colours of the pixels of a single depth image: .png or .jpg of its size, aligned with it; they are drawn, and models of kind xyzrgb use them "
+        "help": "colours of the pixels of a single depth image: .png or .jpg of its size, aligned with it; they are drawn, and models of `xyz+rgb` use them "
         "(default: what the file or folder states)",
     },
     "--mask": {

@@ -104,6 +104,11 @@ class TouchModel(Summarised):
         }
 
     @property
+    def uses_colours(self) -> bool:
+        """Whether it predicts from the colours of the points; of a predictor that does not state it, they are taken to be used."""
+        return bool(getattr(self.predictor, "uses_colours", True))
+
+    @property
     def simulated(self) -> bool:
         """Whether it was trained on simulated grasps, and so predicts for the simulated hand only."""
         return "scene_sha256" in self.card.get("data", {})
