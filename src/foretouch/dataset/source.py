@@ -12,6 +12,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
+from foretouch.cloud.io.colours import COLOUR_SUFFIXES
 from foretouch.cloud.io.depth_files import PAIRING, DepthCamera, Pairs
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, holds_points, read_cloud
 from foretouch.cloud.io.images import IMAGE_SUFFIXES
@@ -123,6 +124,8 @@ def open_source(
 
 def _recording(path: Path, topic: str | None, frame_id: str, camera: DepthCamera) -> Source:
     """Return the clouds of a recording as a source."""
+    if camera.color:
+        raise FileError(path, "is a recording: leave out --color, which is for the depth image of a file")
     with Recording(path, camera) as recording:
         name = recording.cloud_topic(topic)
         topics = {recorded.name: recorded for recorded in recording.topics}
@@ -140,6 +143,8 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     is_folder = path.is_dir()
     if given.stated and not is_folder and holds_points(path):
         given.require_none(path, "holds points")
+    if given.color and is_folder:
+        raise FileError(path, "is a folder, whose colours are NAME-color.png beside NAME-depth.png: leave out --color")
     files = sorted(path.iterdir(), key=_natural) if is_folder else [path]
     pairs = Pairs.of(files if is_folder else [])
     known = CLOUD_SUFFIXES if is_folder else CLOUD_SUFFIXES + IMAGE_SUFFIXES
@@ -147,9 +152,9 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     for file in files:
         if file in pairs.depths or (file.suffix.lower() in known and file not in pairs.others):
             beside = None if given.info or given.intrinsics else pairs.infos.get(file)
-            own = replace(given, info=given.info or beside)
+            own = replace(given, info=given.info or beside, color=given.color or pairs.colours.get(file, ""))
             clouds.append((str(file), partial(read_cloud, file, own)))
-        elif file.suffix.lower() in IMAGE_SUFFIXES and file not in pairs.others:
+        elif file.suffix.lower() in (*IMAGE_SUFFIXES, *COLOUR_SUFFIXES) and file not in pairs.others:
             left_out.append(file.name)
     if not clouds and is_folder:
         formats = ", ".join(CLOUD_SUFFIXES)
