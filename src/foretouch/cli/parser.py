@@ -15,7 +15,7 @@ _GROUPS: Final = {
     "model and adaptation": "model predictor tare touched history prequential tip_mm slide_m vary",
     "settings": "config set params namespace count seconds samples seed workers preset address explain wait_for "
     "wait_limit no_wait",
-    "what is written": "all json out output picture serve save screenshot labels_out no_sheet redraw",
+    "what is written": "all json out output picture panels serve save screenshot labels_out no_sheet redraw",
 }
 """Names of options by the heading under which help lists them."""
 

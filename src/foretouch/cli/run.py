@@ -7,6 +7,8 @@ import argparse
 import re
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -22,6 +24,7 @@ from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.laboratory import needs_laboratory
+from foretouch.models import History, TouchModel, load_model
 from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file
 from foretouch.tactile.channels import BIOTAC_SP
@@ -148,7 +151,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Return parameters of each node by name, from the options; the source comes last, after its subscribers."""
     from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
-    from foretouch.models.registry import SIMULATED_HAND_MODEL, load_model
+    from foretouch.models.registry import SIMULATED_HAND_MODEL
     from foretouch.ros.nodes.camera import DEPTH_TOPIC
 
     given = [settings for _, settings in nodes_of_file(arguments.params)] if arguments.params else []
@@ -388,7 +391,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
             answers += f", {played - answered} dropped or unfinished at the end"
         terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}"))
     if arguments.picture:
-        _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
+        _draw(graph.monitor.last_drawables(), arguments, view.sensor)
     if graph.replay is None and not played:
         _warn_of_no_cloud(graph, arguments)
         return 3
@@ -418,17 +421,21 @@ def _warn_of_no_cloud(graph: Graph, arguments: argparse.Namespace) -> None:
     warn(f"no cloud came from the {source}: {state}{cure}")
 
 
-def _draw(drawables: Sequence[Drawable], path: str, sensor: Sensor) -> None:
+def _draw(drawables: Sequence[Drawable], arguments: argparse.Namespace, sensor: Sensor) -> None:
     from foretouch.report.touch_figure import save_touch_picture
 
+    path = arguments.picture
     if not drawables:
         warn(f"{path}: not drawn, because there was no prediction in the frame of its cloud")
         return
-    save_touch_picture(path, [_drawn(drawable, sensor) for drawable in drawables], sensor)
+    model = None
+    with suppress(ForetouchError):  # which its node has reported
+        model = load_model(arguments.model or drawables[0][2].model, arguments.predictor)
+    save_touch_picture(path, [_drawn(drawable, sensor, model) for drawable in drawables], sensor)
     warn(f"wrote {path}")
 
 
-def _drawn(drawable: Drawable, sensor: Sensor) -> DrawnGrasp:
+def _drawn(drawable: Drawable, sensor: Sensor, model: TouchModel | None) -> DrawnGrasp:
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
@@ -440,8 +447,17 @@ def _drawn(drawable: Drawable, sensor: Sensor) -> DrawnGrasp:
         based = [*first, f"based on {reference_text(message)}", *prediction.flags]
         nothing = "; touched nothing: the readings are those at rest" if at_rest(sample) else ""
         title += f": {', '.join(based)}; model: {message.model}{nothing}"
-    read = {} if sample is None else {"rest": sample.tare, "read": sample.touch}
-    return DrawnGrasp(target=target, prediction=prediction, scene=scene, title=title, **read)
+    drawn = DrawnGrasp(target=target, prediction=prediction, scene=scene, title=title)
+    if sample is None:
+        return drawn
+    drawn = replace(drawn, rest=sample.tare, read=sample.touch)
+    if model is None or not (message.touches and prediction.ok):
+        return drawn
+    history = History(model)  # of a hand that has touched nothing
+    if sample.tare is not None:
+        history.tare(sample.tare, stamp_ns=sample.stamp_ns)
+    (earlier,) = history.predict(target, [prediction.grasp], stamp_ns=sample.stamp_ns)
+    return replace(drawn, earlier=earlier)
 
 
 def at_rest(sample: Sample | None) -> bool:

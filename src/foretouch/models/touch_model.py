@@ -304,6 +304,11 @@ class TouchModel(Summarised):
             raise ModelError(f"{self.name}: {_NOT_FINITE}")
         return estimate
 
+    @property
+    def rest(self) -> Touch | None:
+        """Reading without contact, as the sensors of the training had it; None of a model without a calibration."""
+        return None if self.calibration is None else Touch(self.calibration.rest, self.sensor.channels)
+
     def tare_offset(self, tare: Touch) -> Float64:
         """Compute the difference of a tare from the rest level of the model.
 
