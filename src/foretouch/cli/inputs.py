@@ -117,9 +117,9 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "help": "metres per unit of the depth images (default: what the file or recording states, else 0.001 for 16 bits, 1 for floats)",
     },
     "--color": {
-        "metavar": "FILE",
-        "help": "colours of the pixels of a single depth image: .png or .jpg of its size, aligned with it; they are drawn, and models of `xyz+rgb` use them "
-        "(default: what the file or folder states)",
+        "metavar": "FILE|TOPIC",
+        "help": "colours of the pixels: of a single depth image a .png or .jpg of its size, aligned with it; of a recording a topic. They are drawn, and models "
+        "of `xyz+rgb` use them (default: what the file, folder or recording states)",
     },
     "--mask": {
         "metavar": "FILE",
@@ -380,6 +380,8 @@ def _results(
                     yield item.name, record
             except ForetouchError as err:
                 yield item.name, err
+        for remark in source.remarks:
+            warn(remark)
         if item is None:
             yield path, CloudError(f"{path}: holds no cloud and no sample")
     except ForetouchError as err:
