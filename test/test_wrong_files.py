@@ -289,7 +289,11 @@ def test_what_a_parser_would_say_is_said_in_words_of_the_user(tmp_path: Path) ->
         (r"random\.bag: is no ROS 1 bag: it does not begin as one", open_source, "random.bag"),
         (r"random\.db3: is no SQLite file: it does not begin as one", open_source, "random.db3"),
         (r"text\.yaml: byte 3: is no text in UTF-8", load_yaml, "text.yaml"),
-        (rf"camera\.json: is not JSON: 1000.*{number}", lambda path: camera_facts(path, ""), "camera.json"),
+        (
+            rf"camera\.json: holds no camera: is not JSON: 1000.*{number}",
+            lambda path: camera_facts(path, ""),
+            "camera.json",
+        ),
         (
             rf"camera\.yaml: holds no camera: not YAML: 1000.*{number}",
             lambda path: camera_facts(path, ""),

@@ -100,7 +100,7 @@ class _NamedFile(FileIO):
         self._path = path
         super().__init__(_descriptor(path, os.O_RDONLY))
 
-    def readinto(self, buffer: Any) -> int | None:  # type: ignore[override]
+    def readinto(self, buffer: Any) -> int | None:
         with system_errors(self._path):
             return super().readinto(buffer)
 

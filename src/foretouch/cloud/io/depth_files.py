@@ -345,6 +345,14 @@ def _read_text(path: Path) -> dict[str, Any]:
         raise FileError(path, "holds no camera: is not a matrix of numbers") from None  # anyone may name the file
 
 
+def _read_json(path: Path) -> Any:
+    content = read_bytes(path, _LIMIT)
+    try:
+        return json_in(path, content)
+    except FileError as err:
+        raise FileError(path, f"holds no camera: {err.rule}", field=err.field) from err
+
+
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
         return load_yaml(path, _LIMIT, first=True)
@@ -356,7 +364,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 _READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
     ".mat": _read_mat,
     ".txt": _read_text,
-    ".json": lambda path: json_in(path, read_bytes(path, _LIMIT)),
+    ".json": _read_json,
     ".yaml": _read_yaml,
     ".yml": _read_yaml,
 }
