@@ -71,6 +71,21 @@ def test_a_predictor_that_fails_is_named_in_one_line(fault: str, message: str) -
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((Constant(), {}), r"^card: {} holds no name and sha256; load_model\(…\) reads a card, and calibrate"),
+        ((Constant(), None), "^card: None holds no name"),
+        ((None, CARD), "^predictor: None has no estimate"),
+        ((Constant(), CARD, 5), "^calibration: int is not a Calibration"),
+        ((Constant(), CARD | {"sensor": 5}), "^bad: sensor: is not a description of a sensor"),
+    ],
+)
+def test_what_is_no_model_is_refused_in_one_line(arguments, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        TouchModel(*arguments)
+
+
 def test_rows_that_are_not_finite_are_refused_and_the_others_stay() -> None:
     predictor = Bad()
     predictor.fault = "nan"

@@ -2,7 +2,7 @@
 """Which grasps of a request have predicted pressures that differ by less than their intervals.
 
 The error of a prediction has a part that all grasps on an object share and a part of each grasp. For the released models, the
-interval of the difference of two grasps is .5 to 1.03 times as wide as the interval of one prediction before any touch, so the
+interval of the difference of two grasps is .4 to 1.03 times as wide as the interval of one prediction before any touch, so the
 rule here is the rule of a difference, on the safe side, and can be checked from the bounds of the answer alone.
 """
 

@@ -69,9 +69,12 @@ class Estimate(Summarised):
             ModelError: If an array has another shape.
         """
         estimate = answer if isinstance(answer, cls) else cls(answer)
-        counts = numbers(estimate.counts, "estimate: returned counts", ModelError)
+        rule = f"{rows} grasps and {values} values need ({rows}, {values})"
+        try:
+            counts = numbers(estimate.counts, "estimate: returned counts", ModelError)
+        except ModelError as err:
+            raise ModelError(f"{err}; {rule}") from err
         if counts.shape != (rows, values):
-            rule = f"{rows} grasps and {values} values need ({rows}, {values})"
             raise ModelError(f"estimate: returned counts of shape {counts.shape}; {rule}")
         familiar = None if estimate.familiar is None else _mask(estimate.familiar, "familiar", rows)
         reasons = {flag: _mask(mask, f"reasons[{flag!r}]", rows) for flag, mask in estimate.reasons.items()}

@@ -289,13 +289,17 @@ class TouchModel(Summarised):
         """
         grasps = Grasps.of(grasps)
         try:
-            return Estimate.of(self.predictor.estimate(cloud, grasps, table), len(grasps), self.sensor.channels.size)
+            answer = self.predictor.estimate(cloud, grasps, table)
         except ForetouchError:
             raise
         except (Exception, SystemExit) as err:
             if self.card.get("kind") != OWN:  # an error of foretouch is reported as one
                 raise
             raise ModelError(f"{self.name}: estimate: {described(err)}{_line_of(err)}") from err
+        try:
+            return Estimate.of(answer, len(grasps), self.sensor.channels.size)
+        except ModelError as err:
+            raise ModelError(f"{self.name}: {err}") from err
 
     def estimate_executed(
         self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS, table: Plane | None = None

@@ -52,7 +52,8 @@ def numbers(value: Any, name: str, fault: type[ForetouchError]) -> Float64:
         why = str(err) if str(err) in _NO_NUMBERS.values() else ""
         if "inhomogeneous" in str(err):
             why = "rows of different lengths"
-    raise fault(f"{name}: {shown(value)} is not of numbers{why and ': '}{why}")
+    given = f"an array of {value.dtype}" if isinstance(value, np.ndarray) and value.ndim else shown(value)
+    raise fault(f"{name}: {given} is not of numbers{why and ': '}{why}")
 
 
 def scalar(value: Any, name: str, fault: type[ForetouchError]) -> float:

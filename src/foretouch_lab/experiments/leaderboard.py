@@ -161,9 +161,10 @@ def _scored(settings: LeaderboardSettings, data: Dataset, rows: Sequence[Row]) -
     """Return the scores of the predictors of which all folds of all seeds are known; one that lacks a cell is left out."""
     result: _Scored = {split: {} for split in settings.splits}
     for (split, name), own in grouped(rows, "split", "predictor"):
-        of_seeds = [_evaluated(name, seed, part, data, settings) for seed, part in grouped(own, "seed")]
+        tried = [_evaluated(name, seed, part, data, settings) for seed, part in grouped(own, "seed")]
+        of_seeds = [one for one in tried if one is not None]
         for asked in settings.splits:
-            if predicted_once(asked) == split and len(of_seeds) == len(settings.seeds) and None not in of_seeds:
+            if predicted_once(asked) == split and len(of_seeds) == len(settings.seeds):
                 result[asked][name] = of_seeds
     return result
 
@@ -192,7 +193,7 @@ def _table(settings: LeaderboardSettings, scored: _Scored, seconds: Mapping[tupl
         for name in order:
             versus = None if best in {None, name} else _versus(errors[name], errors[str(best)], settings.bootstrap)
             note, sha256 = by_name[name][0].notes
-            head = {"split": split, "predictor": name, "note": note, "hash": sha256}
+            head: Row = {"split": split, "predictor": name, "note": note, "hash": sha256}
             head |= {"seeds": " ".join(map(str, settings.seeds)), "samples": by_name[name][0].samples[split]}
             head |= {"objects": len(errors[name].objects), "best_baseline": best}
             for row in skill_table(head, errors[name], settings.bootstrap, {"best": versus}):

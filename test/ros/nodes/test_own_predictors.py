@@ -27,7 +27,11 @@ def test_a_predictor_of_the_user_is_served_and_its_faults_are_answers(graph, pre
     node, send, heard = predictor(model=saved, predictor="own_predictors:Bad", late_after_s=1.0)
     expected = [
         ("", Status.OK, ""),
-        ("shape", Status.REFUSED, r"estimate: returned counts of shape (1, 7); 1 grasps and 50 values need (1, 50)"),
+        (
+            "shape",
+            Status.REFUSED,
+            "bad: estimate: returned counts of shape (1, 7); 1 grasps and 50 values need (1, 50)",
+        ),
         ("nan", Status.REFUSED, "the model gives a value that is not finite"),
         ("error", Status.REFUSED, "bad: estimate: ZeroDivisionError: division by zero (own_predictors.py:"),
         ("exit", Status.REFUSED, "bad: estimate: SystemExit: 3 (own_predictors.py:"),

@@ -28,7 +28,7 @@ from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.network.networks import TouchNet, save_network, save_networks
-from foretouch_lab.learning.training.calibration import calibrate_on_folds, with_conformal_start
+from foretouch_lab.learning.training.calibration import calibrate_on_folds
 from foretouch_lab.learning.training.contact import ContactPredictor, describe_objects
 from foretouch_lab.learning.training.run_config import RunConfig
 from foretouch_lab.learning.training.run_folder import RunFolder
@@ -217,11 +217,6 @@ class NetworkLearner(Learner):
         for net, prepared in zip(self._nets, self._prepared, strict=True):
             predicted[:, BIOTAC.columns(prepared.config.outputs)] = predict_set(net, prepared, self.split.train[index])
         return self._fallback().fade(predicted, self._objects[index])[0] if self.config.calibrates else predicted
-
-    def calibrate(self, workers: int = 1) -> CardCalibration:
-        """Calibrate as other methods, with intervals before any reading that are about as wide as the conformal ones."""
-        calibration, facts = super().calibrate(workers)
-        return with_conformal_start(calibration), facts
 
     def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
         """Write weights, card and calibration, all files or none."""

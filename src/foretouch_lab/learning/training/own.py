@@ -29,7 +29,7 @@ from foretouch_lab.learning.data.dataset import Dataset, dataset_from
 from foretouch_lab.learning.data.folds import SPLITS, Fold
 from foretouch_lab.learning.data.training_set import labels_of
 from foretouch_lab.learning.evaluation.evaluate import trained_on
-from foretouch_lab.learning.training.calibration import calibrate_on_folds, guarantee, with_conformal_start
+from foretouch_lab.learning.training.calibration import calibrate_on_folds, guarantee
 from foretouch_lab.learning.training.run_config import RunConfig
 
 _OF_FILES: Final = ("format", "format_version", "kind", "name", "weights", "sha256", "calibration")
@@ -153,7 +153,7 @@ def _calibrated(
     limits = _limits(split, given=not held_out.refitted and not known, says=first.familiar is not None)
     source = {"name": data.name, "sha256": data.sha256, "samples": len(samples)}
     facts = {"calibrated_on": source, "limits": [guarantee(held), *limits]}
-    return (with_conformal_start(calibration), {**held, "split": split}), facts
+    return (calibration, {**held, "split": split}), facts
 
 
 def _limits(split: str, *, given: bool, says: bool) -> list[str]:
