@@ -192,7 +192,7 @@ def test_readings_of_a_described_sensor_move_the_predictions_of_its_model():
 
 def expected(hand, history, model=None, *, tare=False):
     """The core's predictions after the same readings."""
-    read = None if history is None else history.snapshot(hand.now, same_object=True, tare=tare)
+    read = None if history is None else history.at(hand.now, same_object=True, tared=tare)
     return (model or hand.model).predict(hand.cloud, hand.planned, history=read)
 
 
@@ -250,7 +250,7 @@ def test_a_touch_is_compared_on_the_table_of_its_cloud_however_many_came_since()
     found = hand.adapter.predict(Object.of("7", hand.cloud, table), hand.planned, **options)
     assert hand.counts() == {"taken_in": 1}
     assert touched[0].stamp_ns == stamp
-    read = history.snapshot(hand.now, same_object=True)
+    read = history.at(hand.now, same_object=True)
     assert_equal(found, hand.model.predict(hand.cloud, hand.planned, history=read, table=table))
 
 
