@@ -221,11 +221,8 @@ class TouchModel(Summarised):
         usable = np.array([not fault for fault in faults], np.bool_)
         graspable = columns if usable.all() else columns.take(usable)
         estimate = self.estimate(cloud, graspable, table)  # a useless cloud is named first
-        if tare is not None:
-            hand = History(self)
-            hand.tare(tare, stamp_ns=0)
-            history = hand.at(0, same_object=False)
-        predictions = self._adapted(graspable, estimate, history)
+        read = history if tare is None else self.after_tare(tare)
+        predictions = self._adapted(graspable, estimate, read)
         predictions = predictions.flagged(OFF_OBJECT, in_the_air(graspable, cloud.xyz))
         if table is None or table.assumed:
             predictions = predictions.flagged(NO_TABLE)
@@ -304,6 +301,20 @@ class TouchModel(Summarised):
     def rest(self) -> Touch | None:
         """Reading without contact, as the sensors of the training had it; None of a model without a calibration."""
         return None if self.calibration is None else Touch(self.calibration.rest, self.sensor.channels)
+
+    def after_tare(self, tare: Touch) -> "Readings":
+        """Return what is known of a hand of which nothing but a reading without contact was read, taken shortly before.
+
+        Args:
+            tare: The reading.
+
+        Raises:
+            ModelError: If the model has no calibration.
+            TactileError: If the tare is of another sensor, or not a reading of working sensors.
+        """
+        hand = History(self)
+        hand.tare(tare, stamp_ns=0)
+        return hand.at(0, same_object=False)
 
     def tare_offset(self, tare: Touch) -> Float64:
         """Compute the difference of a tare from the rest level of the model.
