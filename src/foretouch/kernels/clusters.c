@@ -569,10 +569,9 @@ void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t
                 any |= own[k];
             }
             for (int64_t k = j; k < end && any; k++) {
-                if (own[k] && ids[own[k]]) {
-                    line[k] = ids[own[k]];
-                    written++;
-                }
+                const int32_t id = own[k] ? ids[own[k]] : 0;
+                line[k] = id ? id : line[k];
+                written += id != 0;
             }
         }
     }

@@ -152,18 +152,16 @@ INLINE int broken(const graph *g, int64_t i, int64_t o, int64_t before, int64_t 
 
 /* The step in depth across each edge, before there are normals, and how far cells reach without one. */
 static void find_steps(graph *g) {
-    for (int dir = 0; dir < 2; dir++) {
-        const int64_t to = dir ? g->w : 1, length = dir ? g->h : g->w;
-        uint8_t *back = g->reach[2 * dir], *on = g->reach[2 * dir + 1];
-        for (int64_t y = 0, i = 0; y < g->h; y++) {
-            for (int64_t x = 0; x < g->w; x++, i++) {
-                const int64_t at = dir ? y : x;
-                const cell *c = g->cells + i;
-                g->bends[2 * i + dir] = NAN;
-                if (at + 1 == length || !c->label || !c[to].label) {
+    for (int64_t y = 0, i = 0; y < g->h; y++) {
+        for (int64_t x = 0; x < g->w; x++, i++) {
+            g->bends[2 * i] = g->bends[2 * i + 1] = NAN;
+            for (int dir = 0; dir < 2 && g->cells[i].label; dir++) {
+                const int64_t to = dir ? g->w : 1, at = dir ? y : x, length = dir ? g->h : g->w;
+                if (at + 1 == length || !g->cells[i + to].label) {
                     continue;
                 }
-                const int jump = c[to].label != c->label || broken(g, i, i + to, at ? i - to : -1, at + 2 < length ? i + 2 * to : -1);
+                uint8_t *back = g->reach[2 * dir], *on = g->reach[2 * dir + 1];
+                const int jump = g->cells[i + to].label != g->cells[i].label || broken(g, i, i + to, at ? i - to : -1, at + 2 < length ? i + 2 * to : -1);
                 g->bends[2 * i + dir] = jump ? STEP : 0.0f;
                 back[i + to] = jump ? 0 : back[i] < REACH ? back[i] + 1 : REACH;
                 for (int64_t t = 0; t < back[i + to]; t++) {
@@ -724,15 +722,18 @@ static void join_all(graph *g) {
     }
 }
 
-/* PARTS. The part of cells all of whose neighbours that are of a cluster are of it, else 0. */
+/* PARTS. In `inside`, the part of cells all of whose neighbours that are of a cluster are of it, else 0. */
 static void find_sole_parts(graph *g) {
-    for (int64_t i = 0, at = 0; i < g->h; i++) {
-        for (int64_t j = 0; j < g->w; j++, at++) {
-            const int32_t own = g->inside[at] = g->cells[at].part;
-            for (int64_t y = i ? i - 1 : 0; own && y <= i + 1 && y < g->h; y++) {
-                for (int64_t x = j ? j - 1 : 0; x <= j + 1 && x < g->w; x++) {
-                    const int32_t part = g->cells[y * g->w + x].part;
-                    g->inside[at] = part && part != own ? 0 : g->inside[at];
+    for (int64_t i = 0; i < g->n; i++) {
+        g->inside[i] = g->cells[i].part;
+    }
+    for (int64_t y = 0, i = 0; y < g->h; y++) {
+        for (int64_t x = 0; x < g->w; x++, i++) {
+            const int64_t others[4] = {x + 1 < g->w ? i + 1 : i, y + 1 < g->h ? i + g->w : i, x > 0 && y + 1 < g->h ? i + g->w - 1 : i, x + 1 < g->w && y + 1 < g->h ? i + g->w + 1 : i};
+            for (int k = 0; k < 4 && g->cells[i].part; k++) {
+                const int32_t other = g->cells[others[k]].part;
+                if (other && other != g->cells[i].part) {
+                    g->inside[i] = g->inside[others[k]] = 0;
                 }
             }
         }
@@ -740,7 +741,8 @@ static void find_sole_parts(graph *g) {
 }
 
 /* The part of the cell of a pixel's cluster that is nearest: in cells, and in depth by LIKE. */
-static int32_t nearest_part(const graph *g, int64_t y, int64_t x, float z, int32_t label) {
+static int32_t nearest_part(const graph *g, int64_t y, int64_t x, int32_t label) {
+    const float z = g->first[3 * (y * g->of->across + x) + 2];
     float best = INFINITY;
     int32_t part = 0;
     for (int64_t near = 0; near < 9; near++) {
@@ -765,19 +767,18 @@ static int64_t write_parts(graph *g, uint8_t *clusters) {
     memset(names, 0, (size_t)g->n * sizeof(int32_t));
     find_sole_parts(g);
     for (int64_t y = 0; y < v->h; y++) {
-        for (int64_t j = 0; j < g->w; j++) {
-            const int64_t at = y / g->k * g->w + j;
-            for (int64_t x = j * g->k; x < (j + 1) * g->k && x < v->w; x++) {
-                const int32_t label = v->labels[y * v->w + x];
-                if (label) {
-                    clusters[label] |= v->solid[y * v->w + x];
-                    const float z = g->first[3 * (y * v->across + x) + 2];
-                    const int32_t part = g->inside[at] && label == g->cells[at].label ? g->inside[at] : nearest_part(g, y, x, z, label);
-                    if (part && !names[part - 1]) {
-                        names[part - 1] = ++count;
-                    }
-                    v->labels[y * v->w + x] = part ? names[part - 1] : 0;
+        int32_t *labels = v->labels + y * v->w;
+        for (int64_t x = 0, at = y / g->k * g->w - 1, next = 0; x < v->w; x++) {
+            const int32_t label = labels[x];
+            if (x == next) { /* the next cell */
+                at++, next += g->k;
+            }
+            if (label) {
+                const int32_t part = g->inside[at] && label == g->cells[at].label ? g->inside[at] : nearest_part(g, y, x, label);
+                if (part && !names[part - 1]) {
+                    names[part - 1] = ++count;
                 }
+                labels[x] = part ? names[part - 1] : 0, clusters[label] |= v->solid[y * v->w + x];
             }
         }
     }
