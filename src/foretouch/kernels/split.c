@@ -29,6 +29,7 @@ enum { REFUSED, ACCEPTED, CELLS_OF, JOINS };                      /* of `joins` 
 #define SKEW 0.05f  /* and how far it may be off for each metre between them */
 #define LIKE 0.005f /* a difference in depth that counts as much as a cell [m] */
 #define HOLLOW 0.1f /* bend of a surface that is hollow, 6 degrees over 2 * REACH + 1 cells */
+#define AT_ONCE 4   /* trees that are walked, each of which waits for its memory */
 #define SOME 64     /* borders whose highest key is kept */
 #define EVEN 0.02   /* share of the normals in all directions that is assumed besides those that are seen */
 
@@ -70,7 +71,7 @@ typedef struct {
     uint8_t *reach[4]; /* cells to the left, right, up and down, at most REACH, from which no step separates a cell */
     float *bends;      /* of the edges to the right and down (n, 2); NAN where there is none */
     int32_t *inside;   /* halves of a cell from the nearest edge that may separate */
-    int32_t *root, *first_of; /* first_of: first cell of each distance from an edge; `part` of a cell is the next one */
+    int32_t *root, *first_of, *next; /* first cell of each distance from an edge, and the next one of that distance */
     fragment *fragments;
     border *borders;
     double *keys, *peaks; /* of the borders: the highest is joined next; and the highest of each SOME borders */
@@ -275,11 +276,11 @@ static void make_fragments(graph *g) {
     memset(g->first_of, -1, ((size_t)innermost + 1) * sizeof(int32_t));
     for (int64_t i = g->n - 1; i >= 0; i--) {
         if (g->cells[i].label) {
-            g->cells[i].part = g->first_of[g->inside[i]], g->first_of[g->inside[i]] = (int32_t)i;
+            g->next[i] = g->first_of[g->inside[i]], g->first_of[g->inside[i]] = (int32_t)i;
         }
     }
     for (int32_t level = innermost; level >= 0; level--) {
-        for (int64_t i = g->first_of[level]; i >= 0; i = g->cells[i].part) {
+        for (int64_t i = g->first_of[level]; i >= 0; i = g->next[i]) {
             const int64_t edges[4] = {2 * (i - 1), 2 * i, 2 * (i - g->w) + 1, 2 * i + 1}, others[4] = {i - 1, i + 1, i - g->w, i + g->w};
             int32_t own = g->root[i] = (int32_t)i;
             for (int side = 0; side < 4; side++) {
@@ -583,14 +584,18 @@ static void rate(graph *g, border *of) {
     for (int k = 0; k < FEATURES; k++) {
         row[k] = (float)x[2 + k];
     }
-    const float *threshold = g->trees->thresholds, *leaf = g->trees->leaves;
-    const uint8_t *feature = g->trees->features;
-    for (int64_t tree = 0; tree < g->trees->count; tree++, threshold += inner, feature += inner, leaf += inner + 1) {
-        int64_t at = 0;
+    for (int64_t first = 0; first < g->trees->count; first += AT_ONCE) {
+        const int64_t some = g->trees->count - first < AT_ONCE ? g->trees->count - first : AT_ONCE;
+        int64_t at[AT_ONCE] = {0};
         for (int64_t level = 0; level < g->trees->depth; level++) {
-            at = 2 * at + 1 + (row[feature[at]] > threshold[at]);
+            for (int64_t k = 0; k < some; k++) {
+                const int64_t node = (first + k) * inner + at[k];
+                at[k] = 2 * at[k] + 1 + (row[g->trees->features[node]] > g->trees->thresholds[node]);
+            }
         }
-        of->score += leaf[at - inner];
+        for (int64_t k = 0; k < some; k++) {
+            of->score += g->trees->leaves[(first + k) * (inner + 1) + at[k] - inner];
+        }
     }
     if (g->counts[RATED] < g->trees->room) {
         memcpy(g->trees->rows + g->counts[RATED] * (FEATURES + 2), x, sizeof x);
@@ -814,10 +819,10 @@ VECTORISED void split_clusters(const Labelled *of, int64_t k, const double *sett
     graph g = {.of = of, .first = of->xyz + 3 * (of->row * of->across + of->column), .k = k, .h = (of->h + k - 1) / k, .w = (of->w + k - 1) / k, .s = settings, .trees = trees, .counts = counts};
     const size_t n = (size_t)(g.n = g.h * g.w), most = 4 * n + SOME, beside = REACH * (size_t)(g.w + 1), padded = n + 2 * beside + 8; /* the most borders; windows reach beside the image */
     memset(counts, 0, COUNTS * sizeof(int64_t));
-    g.cells = malloc((n + 1) * sizeof(cell) + (5 * n + 1 + 3 * padded) * sizeof(float) + 4 * padded);
+    g.cells = malloc((n + 1) * sizeof(cell) + (6 * n + 1 + 3 * padded) * sizeof(float) + 4 * padded);
     counts[PARTS] = -1;
     if (g.cells) {
-        g.bends = (float *)(g.cells + n + 1), g.inside = (int32_t *)(g.bends + 2 * n), g.root = g.inside + n, g.first_of = g.root + n;
+        g.bends = (float *)(g.cells + n + 1), g.inside = (int32_t *)(g.bends + 2 * n), g.root = g.inside + n, g.next = g.root + n, g.first_of = g.next + n;
         g.u = (float *)(g.first_of + n + 1) + beside, g.v = g.u + padded, g.d = g.v + padded;
         for (int way = 0; way < 4; way++) {
             g.reach[way] = (uint8_t *)(g.d - beside + padded) + way * padded + beside;

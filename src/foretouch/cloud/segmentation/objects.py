@@ -69,7 +69,9 @@ def extract_objects(
                 behind.append((candidate.distance_m, number, label, replace(candidate, background=reason)))
             elif not reason and _plausible(candidate, top_m, threshold, config):
                 cut = found is not None and bool(found.cut[first + label])
-                standing.append((candidate.distance_m, number, label, replace(candidate, flags=(CUT,)) if cut else candidate))
+                standing.append(
+                    (candidate.distance_m, number, label, replace(candidate, flags=(CUT,)) if cut else candidate)
+                )
             else:
                 rejected.append(candidate.n_points)
         first += window.n_labels
