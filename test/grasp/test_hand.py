@@ -23,7 +23,7 @@ from foretouch.types.grasps import TILTS
 
 CONFIG = GeoGraspConfig()
 LOW, TALL = box(0.06, 0.09, 0.05), box(0.05, 0.08, 0.15)
-HANDS = ("shadow_thumb_middle", "franka_hand", "robotiq_2f85")
+HANDS = ("shadow_thumb_middle", "franka_hand", "robotiq_2f85", "robotiq_2f140", "allegro_index_thumb")
 
 
 def test_hands_of_the_package() -> None:
@@ -96,6 +96,31 @@ def test_contacts_of_the_robotiq_move_as_its_urdf_says() -> None:
         tip = np.array([0.03060114 + c * arm[0] - s * arm[1], 0.05490452 + s * arm[0] + c * arm[1]])
         width, end = 2.0 * (tip[0] - 0.0253), tip[1] + 0.051
         assert hand.at(max(width, 0.0)).tool[2, 3] == pytest.approx(hand.config.tip_radius_m - end, abs=0.001)
+
+
+def test_the_fingers_of_the_wide_robotiq_move_as_its_urdf_says() -> None:
+    """robotiq_description of PickNikRobotics/ros2_robotiq_gripper (BSD-3-Clause): the joints put pads, 27 x 65 x 7.5 mm, and bars where the boxes are."""
+    hand = load_hand("robotiq_2f140")
+    for angle in np.linspace(0.0, 0.695, 9).tolist():
+        knuckle = _moved((0.0, -0.030601, 0.054905), (np.pi / 2.0 + 0.725, 0.0, 0.0)) @ _turned((-1, 0, 0), angle)
+        outer = knuckle @ _moved((0.0, 0.01821998610742, 0.0260018192872234))
+        inner = outer @ _moved((0.0, 0.0817554015893473, -0.0282203446692936), (-0.725, 0.0, 0.0))
+        pad = inner @ _turned((1, 0, 0), angle) @ _moved((0.0, 0.0457554015893473, -0.0272203446692936))
+        bar = _moved((0.0, -0.0127, 0.06142), (np.pi / 2.0 + 0.725, 0.0, 0.0)) @ _turned((-1, 0, 0), angle)
+        width = -2.0 * (pad[1, 3] + 0.0075 / 2.0)
+        at = hand.at(width)
+        assert at.tool[2, 3] == pytest.approx(hand.config.tip_radius_m - (pad[2, 3] + 0.065 / 2.0), abs=0.001)
+        half = np.array([0.027, 0.065, 0.0075]) / 2.0  # of the pad, across, along and thick
+        for name, link, ends in (
+            ("left_tip", pad, np.stack([-half, half])),
+            ("left_inner_knuckle", bar, np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]])),  # between both of its joints
+            ("left_outer_finger", outer, np.array([[0.0, 0.0, 0.0], [0.0, 0.0817554, -0.0282203]])),
+        ):
+            points = ends @ link[:3, :3].T + link[:3, 3]
+            in_grasp = points @ at.tool[:3, :3].T + at.tool[:3, 3]
+            low, high = (end(at.corners[hand.names.index(name)], axis=0) for end in (np.min, np.max))
+            assert ((in_grasp > low - 0.001) & (in_grasp < high + 0.001)).all(), (angle, name)
+    assert 2.0 * 0.0680 - 0.0075 - hand.config.opening_m == pytest.approx(0.004, abs=0.001)  # 2 mm on either side
 
 
 def test_clearance_over_a_block() -> None:
