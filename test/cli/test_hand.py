@@ -82,7 +82,7 @@ def test_options_of_a_comparison_that_have_no_effect_are_refused(capsys: pytest.
         (["franka_hand", "--mesh", "a.obj", "--link", "tcp"], "--link: needs --urdf"),
         (["franka_hand", "--urdf", "a.urdf", "--unit", "mm"], "--unit: is for --mesh"),
         (["franka_hand", "robotiq_2f85", "--mesh", "a.obj"], "are compared with one description"),
-        (["franka_hand", "--mesh", "a.obj", "--width", "80"], "--width: 80 is not from 0 to 1 m"),
+        (["franka_hand", "--mesh", "a.obj", "--width", "80"], "--width: 80 is wider than any hand opens"),
         (["franka_hand", "--mesh", "nowhere.obj"], "nowhere.obj: "),
         (["two_tips", "--mesh", "nowhere.obj"], "two_tips: the description has no box to compare"),
     ):

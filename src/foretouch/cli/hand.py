@@ -3,10 +3,12 @@
 
 import argparse
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from foretouch.cli.descriptions import Descriptions
+from foretouch.cli.inputs import positive_value
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ConfigError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
@@ -24,7 +26,7 @@ def add_arguments(parser: CommandParser) -> None:
     check.add_argument("--urdf", group=real, type=Path, metavar="F", help=about)
     check.add_argument("--unit", choices=("m", "mm"), default="m", help="unit of the mesh")
     about = "width of the grasp at which the boxes are compared (default: the first of the description)"
-    check.add_argument("--width", type=float, metavar="M", help=about)
+    check.add_argument("--width", type=partial(positive_value, or_zero=True), metavar="M", help=about)
     check.add_argument(
         "--link", metavar="NAME", help="link of the URDF that is the tool's frame (default: as described)"
     )
@@ -60,17 +62,21 @@ def _compares(arguments: argparse.Namespace) -> bool:
         raise ConfigError("--unit: is for --mesh; a URDF is in metres, and states the scale of each of its meshes")
     if len(arguments.descriptions) > 1:
         raise ConfigError(f"{' '.join(arguments.descriptions)}: --mesh and --urdf are compared with one description")
-    width = arguments.width
-    if width is not None and not 0.0 <= width <= 1.0:
-        raise ConfigError(f"--width: {width:g} is not from 0 to 1 m")
+    if arguments.width is not None and arguments.width > 1.0:
+        raise ConfigError(f"--width: {arguments.width:g} is wider than any hand opens: is it in mm?")
     return True
 
 
 def _joint(text: str) -> tuple[str, float]:
-    name, equals, value = text.partition("=")
-    if not (name and equals and math.isfinite(float(value))):
-        raise ValueError
-    return name, float(value)
+    """Return name and value of a joint for argparse."""
+    name, _, value = text.partition("=")
+    try:
+        angle = float(value)
+    except ValueError:
+        angle = math.nan
+    if not name or not math.isfinite(angle):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE with a finite number")
+    return name, angle
 
 
 def _facts(name: str) -> dict[str, Any]:

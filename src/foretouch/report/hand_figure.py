@@ -74,10 +74,10 @@ def save_surface_figure(
     figure = new_figure(12.0, 6.5)
     xyz, away = (1e3 * np.concatenate(list(values.values())) for values in (points, outside_m))
     order = np.argsort(away, kind="stable")  # those outside are drawn last
-    corners, marks = hand.at(width_m).corners, None
+    corners, marks = hand.at(width_m).corners, []
     for number, (right, name) in enumerate(((0, "along the line, thumb to the right"), (1, "across the fingers"))):
         axes = figure.add_subplot(1, 2, number + 1)
-        marks = axes.scatter(
+        shown = axes.scatter(
             xyz[order, right],
             -xyz[order, 2],
             c=away[order],
@@ -86,10 +86,11 @@ def save_surface_figure(
             vmin=0.0,
             vmax=max(5.0, away.max()),
         )
+        marks.append(shown)
         for part, box in zip(hand.parts, corners, strict=True):
             lines = 1e3 * box[_EDGES]
             axes.plot(lines[..., right].T, -lines[..., 2].T, color=COLOURS[part], linewidth=1.0)
         axes.set(xlabel=f"{name} [mm]", ylabel="towards the palm [mm]", aspect="equal")
-    figure.colorbar(marks, ax=figure.axes, label="outside of the boxes [mm]", shrink=0.7)
-    figure.suptitle(f"{hand.config.name} at {1e3 * width_m:g} mm, over {', '.join(points)}"[:160])
+    figure.colorbar(marks[0], ax=figure.axes, label="outside of the boxes [mm]", shrink=0.7)
+    figure.suptitle(f"{hand.config.name} at a width of {1e3 * width_m:g} mm, over {len(points)} links of the real hand")
     return save(figure, path)

@@ -76,8 +76,9 @@ def _read_urdf(path: Path) -> Any:
     import yourdfpy
 
     read_bytes(path, TEXT_LIMIT)  # a regular file of a bounded size
-    logger, level = logging.getLogger("yourdfpy.urdf"), logging.CRITICAL
-    before, _ = logger.level, logger.setLevel(level)  # what it warns of is refused below, or does not matter here
+    logger = logging.getLogger("yourdfpy.urdf")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)  # what it warns of is refused below, or does not matter here
     try:
         robot = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
     except Exception as err:  # whatever a damaged file makes of the reader
