@@ -112,11 +112,11 @@ def test_postures_of_the_allegro_hand_are_those_of_its_urdf() -> None:
             index = index @ _moved((0.0, 0.0, height_m)) @ _turned((0, 1, 0), joint[name])
         for name, height_m in (("joint_14.0", 0.0177), ("joint_15.0", 0.0514)):
             thumb = thumb @ _moved((0.0, 0.0, height_m)) @ _turned((0, 1, 0), joint[name])
-        for link, side, box, height_m in ((index, -1.0, "index", 0.0267), (thumb, 1.0, "thumb", 0.0423)):
+        for link, side, finger, height_m in ((index, -1.0, "index", 0.0267), (thumb, 1.0, "thumb", 0.0423)):
             ball = (at.tool @ link @ [0.0, 0.0, height_m, 1.0])[:3]
             np.testing.assert_allclose(ball, [side * (width / 2.0 + 0.012), 0.0, 0.0], atol=0.0005)
             middle = (at.tool @ link @ [0.0, 0.0, height_m / 2.0, 1.0])[:3]  # of the distal link, 19.6 x 27.5 mm
-            corners = at.corners[hand.names.index(f"{box}_distal")]
+            corners = at.corners[hand.names.index(f"{finger}_distal")]
             np.testing.assert_allclose(corners.mean(axis=0), middle, atol=0.001)
             edges = np.linalg.norm(corners[[4, 2, 1]] - corners[0], axis=1)
             np.testing.assert_allclose(edges, [0.0196, 0.0275, height_m], atol=0.0005)
