@@ -27,11 +27,9 @@ class ColourAligner:
         self._frames: deque[Any] = deque(maxlen=_KEPT)
         self._arrived = threading.Condition()
         self._align = rs.align(rs.stream.depth)
-        self._pair: list[Any] = []
+        pair = self._pair = list[Any]()  # not of `self`, which the library's block would keep alive
         self._joined = rs.frame_queue(1)
-        self._join = rs.processing_block(
-            lambda _, source: source.frame_ready(source.allocate_composite_frame(self._pair))
-        )
+        self._join = rs.processing_block(lambda _, source: source.frame_ready(source.allocate_composite_frame(pair)))
         self._join.start(self._joined)
 
     def add(self, frame: Any) -> None:
@@ -47,15 +45,20 @@ class ColourAligner:
             depth: A frame of the library; it waits up to 20 ms for the colours of its time.
 
         Returns:
-            (H, W, 3) uint8, black where there is no depth; None if no colour frame is within 20 ms.
+            (H, W, 3) uint8, black where there is no depth; None if no colour frame is within 20 ms, or the library cannot align it.
         """
         frame = self._nearest(depth.get_timestamp())
         if frame is None:
             return None
-        self._pair = [depth, frame]
-        self._join.invoke(depth)
-        both = self._joined.wait_for_frame(1000).as_frameset()
-        return np.array(self._align.process(both).get_color_frame().get_data())
+        self._pair[:] = depth, frame
+        try:
+            self._join.invoke(depth)
+            both = self._joined.wait_for_frame(1000).as_frameset()
+            return np.array(self._align.process(both).get_color_frame().get_data())
+        except RuntimeError:  # of the library, such as where it does not know how the sensors are mounted
+            return None
+        finally:
+            self._pair.clear()
 
     def _nearest(self, time_ms: float) -> Any:
         until_s = time.monotonic() + _WAIT_S

@@ -61,7 +61,15 @@ class FrameStream:
         number, sensor, profile = _find_profile(device, wanted)
         self._camera = library_camera(profile.as_video_stream_profile().get_intrinsics())
         self._device = device  # or the library would end a recording
-        self._colours = ColourAligner() if config.color else None
+        colours = self._colours = ColourAligner() if config.color else None
+
+        def receive(frame: Any) -> None:  # not of `self`, which the library would keep alive
+            frame.keep()  # the library lends only a few otherwise
+            if colours is not None and frame.get_profile().stream_type() == realsense().stream.color:
+                colours.add(frame)
+            else:
+                queue.put(frame)
+
         opened = {number: (sensor, [profile])}
         if self._colours is not None:
             number, sensor, colour = colour_profile(device, wanted)
@@ -72,21 +80,13 @@ class FrameStream:
         try:
             for sensor, profiles in opened.values():
                 sensor.open(profiles)
-                sensor.start(self._receive)
+                sensor.start(receive)
         except BaseException:
             self.close()
             raise
         queue.capacity = (
             1  # of a live camera only the newest is kept: a late reader skips frames, as their numbers show
         )
-
-    def _receive(self, frame: Any) -> None:
-        """Keep a frame, of which the library lends only a few otherwise."""
-        frame.keep()
-        if self._colours is not None and frame.get_profile().stream_type() == realsense().stream.color:
-            self._colours.add(frame)
-        else:
-            self._queue.put(frame)
 
     def wait(self, timeout_s: float) -> Any | None:
         """Return the next depth frame; None if there was none in time [s]."""
