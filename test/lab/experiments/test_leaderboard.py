@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The leaderboard: its rows follow from the held-out predictions, and each row can be added by itself."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,16 @@ from own_predictors import Memory
 from foretouch import fit
 from foretouch.errors import ConfigError
 from foretouch.tactile import MODALITIES
+from foretouch.types import Cloud
 from foretouch_lab.experiments import find_experiment
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.leaderboard import LeaderboardSettings
 from foretouch_lab.experiments.shared.tables import select
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.evaluation.baselines import object_mean, training_mean
 from foretouch_lab.learning.evaluation.metrics import MEAN, mean_skill
-from foretouch_lab.learning.training.scoring import score_models
+from foretouch_lab.learning.training.scoring import hold_out, score_models
 
 QUICK = {"baselines": ["training_mean", "object_mean", "clock"], "bootstrap.draws": 200}
 MINE = "own_predictors:Memory"
@@ -140,6 +143,25 @@ def test_a_recipe_is_a_row_with_its_settings(data: Dataset, tmp_path) -> None:
     direct = score_models(data, {"m": plain}, ["random"], baselines={})
     assert mean_skill(direct.scores["random"]["m"]) == pytest.approx(by_name[plain]["skill"])
     assert direct.notes == (f"m: recipe {plain}, fitted again without the samples of each fold",)
+
+
+@pytest.mark.slow
+def test_the_sr_gan_learns_nothing_from_the_clouds_of_the_fold_that_it_is_tested_on() -> None:
+    data = make_collection(3, 8)
+    widths = "model.trunk_widths=[8,16] model.tnet_widths=[8,8,16,8,8] model.head_widths=[16]"
+    small = f"model.channels=xyz model.n_points=16 {widths} srgan.epochs=1"
+    words = f"p2_srgan model.outputs=[PDC_TH,PDC_MF,E_TH,E_MF] {small}"
+    fold = make_folds(data.samples, "object", 0)[0]
+    other = [replace(one, cloud=Cloud(one.cloud.xyz * np.float32([1.0, 2.0, 1.0]))) for one in data.samples]
+    moved = [other[k] if k in fold.test else one for k, one in enumerate(data.samples)]
+    asked = Fold(fold.train, np.arange(len(data.samples)))
+    plain, unseen, seen = (
+        hold_out(words, replace(data, samples=tuple(samples))).predict(asked)[fold.train]
+        for samples in (data.samples, moved, other)
+    )
+    assert np.isfinite(plain).all()
+    assert np.array_equal(plain, unseen)  # whatever the clouds of the test side are
+    assert not np.array_equal(plain, seen)
 
 
 def test_what_cannot_be_a_row_is_refused(data: Dataset) -> None:
