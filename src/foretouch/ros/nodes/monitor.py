@@ -135,14 +135,15 @@ class MonitorNode(Node):
     def last_drawables(self) -> list[Drawable]:
         """Find the last predictions on an object that the model knows, and on one that it does not, as far as there are such.
 
-        Of executed grasps they are the last before the first touch of an object and the last after it. If none was executed,
+        Of executed grasps they are the last that was predicted after a touch of its object, else the last one. If none was executed,
         they are the newest whose clouds are still kept.
         """
         with self._lock:
             executed = dict(self._executed)
             answers = [] if executed else list(self._drawable)
-        if executed:
-            return [executed[key] for key in sorted(executed)]
+        if executed:  # one that was predicted after a touch comes after one before
+            last = {unfamiliar: executed[unfamiliar, touched] for unfamiliar, touched in sorted(executed)}
+            return list(last.values())
         newest: dict[bool, Drawable] = {}
         for answer in reversed(answers):
             prediction = answer.predictions[0]
