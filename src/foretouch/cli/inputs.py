@@ -18,7 +18,7 @@ from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import CloudError, ConfigError, ForetouchError, shown
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.types import Cloud, Plane, assumed_table
+from foretouch.types import Cloud, Plane, Sample, assumed_table
 from foretouch.types.scene import Object, Scene
 
 Record = dict[str, Any]
@@ -224,7 +224,10 @@ def pipeline_config(
     """
     config = PipelineConfig().updated(defaults or {})
     if arguments.config:
-        config = config.updated(load_yaml(arguments.config), arguments.config)
+        stated = load_yaml(arguments.config)
+        if not stated:
+            warn(f"{arguments.config}: holds no settings: the defaults apply")
+        config = config.updated(stated, arguments.config)
     given = {
         "target.mode": getattr(arguments, "target", None),
         "hand.name": getattr(arguments, "hand", None),
@@ -286,7 +289,7 @@ def target_objects(
     """Find the objects to grasp in one input: the cloud itself, or the targets of its scene.
 
     An organised cloud, or any with --scene, --mask, --pixel or --point, is a scene; otherwise the cloud is one object
-    on --plane or on an assumed table, seen from straight above.
+    on --plane, on the table of its sample, or on an assumed table, seen from straight above.
 
     Returns:
         The objects, at least one; the scene that they are in, or the only object; and by what they were selected: `pixel`,
@@ -298,7 +301,7 @@ def target_objects(
     if holds_one_object(item.cloud, arguments):
         if arguments.target:
             raise ConfigError("--target: is for the objects of a scene, and this cloud is one object; add --scene")
-        target = only_object(item.cloud, arguments)
+        target = only_object(item.cloud, arguments, item.sample)
         return [target], target, ""
     scene = scene_of(item, arguments, pipeline)
     if not scene.objects:
@@ -330,10 +333,12 @@ def draw_result(arguments: argparse.Namespace, scene: Scene | Object, *drawn: An
         warn(f"wrote {arguments.picture}")
 
 
-def only_object(cloud: Cloud, arguments: argparse.Namespace) -> Object:
-    """Return a cloud as one object, on --plane or on an assumed table."""
-    table = assumed_table(cloud) if arguments.plane is None else Plane.from_coefficients(arguments.plane)
-    return Object.of("1", cloud, table)
+def only_object(cloud: Cloud, arguments: argparse.Namespace, sample: Sample | None = None) -> Object:
+    """Return a cloud as one object, on --plane, on the table of its sample, or on an assumed table."""
+    table = None if sample is None else sample.table
+    if arguments.plane is not None:
+        table = Plane.from_coefficients(arguments.plane)
+    return Object.of("1", cloud, table or assumed_table(cloud))
 
 
 def heading(record: Record, by: str = "") -> str:

@@ -143,7 +143,7 @@ def _of_sample(view: _View, samples: SampleSet, number: int) -> ViewStep | None:
     sample = samples.read(number)
     if DISCARDED in sample.flags:
         return None
-    target = inputs.only_object(sample.cloud, view.arguments)
+    target = inputs.only_object(sample.cloud, view.arguments, sample)
     shown: dict[str, Any] = {"cloud": sample.cloud, "table": target.plane, "candidates": sample.candidates}
     shown |= {"stamp_ns": sample.stamp_ns, "read": sample.touch, "tare": sample.tare}
     return ViewStep(name=sample.id, **shown, **_predicted(view, target, sample.grasp, sample))
