@@ -117,7 +117,7 @@ def _run(cell: Cell, settings: LeaderboardSettings, data: Dataset) -> list[Row]:
     """Return the errors of each object, and the scores of each modality, of one predictor on some splits."""
     name, splits = cell.values["predictor"], cell.values["splits"]
     models, baselines, origin = {}, {}, {"hash": "", "note": "baseline"}
-    if name in INSTALLED:
+    if name in PREDICTORS:
         baselines = {name: PREDICTORS[name](settings.training_fraction)}
         origin["note"] = "baseline" if name in _BASELINES else "trained again for each fold and modality"
     else:
