@@ -16,11 +16,11 @@ from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch_lab.learning.training.run_config import load_run_config
 
 COMMAND = """
-from foretouch.cli.commands import Command
+from foretouch.cli.commands import CommandEntry
 from foretouch.cli.output import print_json
 
-COUNT = Command("Count the files of a folder", "their_commands", "foretouch count folder")
-FILES = Command("Count the files of a dataset", "their_commands", "foretouch dataset files session")
+COUNT = CommandEntry("Count the files of a folder", "their_commands", "foretouch count folder")
+FILES = CommandEntry("Count the files of a dataset", "their_commands", "foretouch dataset files session")
 
 def add_arguments(parser):
     parser.add_argument("folder", metavar="DIR", help="folder")

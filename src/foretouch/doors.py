@@ -3,7 +3,7 @@
 
 A package adds a part by an entry point (the section `[project.entry-points]` of its `pyproject.toml`) in one of these groups:
 
-- `foretouch.commands`: a `foretouch.cli.commands.Command`; the name `dataset.NAME` adds an action to `foretouch dataset`.
+- `foretouch.commands`: a `foretouch.cli.commands.CommandEntry`; the name `dataset.NAME` adds an action to `foretouch dataset`.
 - `foretouch.sources`: a `foretouch.camera.source.SceneSource`, for `run --source` and the camera node.
 - `foretouch.nodes`: the class of a node.
 - `foretouch.formats`: a `foretouch.dataset.formats.FormatEntry`.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The commands: what each prints in the help, and the module that runs it.
 
-A package adds a command by an entry point of the group `foretouch.commands` that names a `Command`, and an action of
+A package adds a command by an entry point of the group `foretouch.commands` that names a `CommandEntry`, and an action of
 `foretouch dataset` by one that is called `dataset.NAME`.
 """
 
@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from foretouch.doors import Door, needs_extras
 
 
-class Command(NamedTuple):
+class CommandEntry(NamedTuple):
     """A command, described without importing its module.
 
     Attributes:
@@ -39,72 +39,72 @@ COMMANDS: Final = Door(
     "foretouch.commands",
     "command",
     {
-        "segment": Command(
+        "segment": CommandEntry(
             "Segment the table and the objects of each cloud", "foretouch.cli.segment", "foretouch segment scene.npz"
         ),
-        "grasp": Command(
+        "grasp": CommandEntry(
             "Plan two-finger grasps on each object",
             "foretouch.cli.grasp",
             "foretouch grasp object.pcd --plane 0,0,1,-1.27",
         ),
-        "predict": Command(
+        "predict": CommandEntry(
             "Predict the tactile readings of grasps on each object",
             "foretouch.cli.predict",
             "foretouch predict object.pcd --touched session",
         ),
-        "dataset": Command(
+        "dataset": CommandEntry(
             "Inspect, verify, repair, edit and convert datasets",
             "foretouch.cli.dataset",
             "foretouch dataset info session",
             has_json=False,
         ),
-        "run": Command(
+        "run": CommandEntry(
             "Run the whole ROS graph in one terminal",
             "foretouch.cli.run",
             "foretouch run --source config/scenes/clean.yaml --count 30 --picture touch.png",
             uses_ros=True,
         ),
-        "record": Command(
+        "record": CommandEntry(
             "Record grasps and tactile readings to a dataset",
             "foretouch.cli.record",
             "foretouch record -o session --object can --samples 20",
             uses_ros=True,
         ),
-        "replay": Command(
+        "replay": CommandEntry(
             "Replay a recording or a folder of clouds to the ROS graph",
             "foretouch.cli.replay",
             "foretouch replay session --rate 5",
             uses_ros=True,
         ),
-        "forget": Command(
+        "forget": CommandEntry(
             "Let a running graph forget readings of the object or of the hand",
             "foretouch.cli.forget",
             "foretouch forget touches",
             uses_ros=True,
         ),
-        "view": Command(
+        "view": CommandEntry(
             "Show clouds, grasps and predicted touch in Rerun",
             "foretouch.cli.view",
             "foretouch view session --save session.rrd",
             has_json=False,
         ),
-        "models": Command("List and verify touch models", "foretouch.cli.models", "foretouch models contact-v3"),
-        "sensor": Command(
+        "models": CommandEntry("List and verify touch models", "foretouch.cli.models", "foretouch models contact-v3"),
+        "sensor": CommandEntry(
             "List, check and draw descriptions of tactile sensors",
             "foretouch.cli.sensor",
             "foretouch sensor list",
             has_json=False,
         ),
-        "hand": Command(
+        "hand": CommandEntry(
             "List, check and draw descriptions of hands and grippers",
             "foretouch.cli.hand",
             "foretouch hand list",
             has_json=False,
         ),
-        "doctor": Command(
+        "doctor": CommandEntry(
             "Check dependencies and print the fixes", "foretouch.cli.doctor", "foretouch doctor --self-test"
         ),
     },
-    Command,
+    CommandEntry,
 )
 """Commands by name. The first that are listed are those of foretouch."""

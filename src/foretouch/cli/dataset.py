@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from foretouch.cli.commands import COMMANDS, Command
+from foretouch.cli.commands import COMMANDS, CommandEntry
 from foretouch.cli.inputs import add_options, positive_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser, one_of
@@ -87,7 +87,7 @@ def add_arguments(parser: CommandParser) -> None:
     show.add_argument("-n", "--count", type=positive_number, default=_SHEET_SAMPLES, help=count)
 
     for name in (one for one in COMMANDS if one.startswith("dataset.")):
-        command: Command = COMMANDS.load(name)
+        command: CommandEntry = COMMANDS.load(name)
         words = name.replace(".", " ")
         added = _action(parser, words.split()[1], partial(_added, command, words), command.summary, command.example)
         command.load(words).add_arguments(added)
@@ -138,7 +138,7 @@ def run(arguments: argparse.Namespace) -> int:
     return int(arguments.act(arguments))
 
 
-def _added(command: Command, words: str, arguments: argparse.Namespace) -> int:
+def _added(command: CommandEntry, words: str, arguments: argparse.Namespace) -> int:
     """Run an action of another package."""
     with needs_extras(words):
         return int(command.load(words).run(arguments))

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from foretouch import __version__
-from foretouch.cli.commands import COMMANDS, Command
+from foretouch.cli.commands import COMMANDS, CommandEntry
 from foretouch.cli.parser import CommandParser
 from foretouch.doors import needs_extras
 from foretouch.errors import ForetouchError, shown
@@ -78,7 +78,7 @@ def _run(arguments: list[str]) -> int:
     if parsed.command is None:
         parser.print_help()
         return 2
-    command: Command = COMMANDS.load(parsed.command)
+    command: CommandEntry = COMMANDS.load(parsed.command)
     if command.uses_ros:
         from foretouch.ros.runtime.environment import check_variables
 
@@ -108,7 +108,7 @@ def command_parser(chosen: str | None) -> CommandParser:
         if "." in name:  # an action of a command
             continue
         try:
-            command: Command = COMMANDS.load(name)
+            command: CommandEntry = COMMANDS.load(name)
         except ForetouchError as err:  # of another package, which keeps nobody from the other commands
             if name == chosen:
                 raise
