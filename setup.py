@@ -20,7 +20,8 @@ LABORATORY = {
     },
     "foretouch.sources": dict.fromkeys(("scene", ".yaml", ".yml"), "foretouch_lab.simulation.scene_source:SCENE"),
     "foretouch.nodes": {"hand": "foretouch_lab.ros.hand:HandNode"},
-    "foretouch.training": {
+    "foretouch.functions": {
+        "compare_hand": "foretouch_lab.cli.hand_surface:run",
         "fit": "foretouch_lab.learning.training.fit:fit",
         "calibrate": "foretouch_lab.learning.training.own:calibrate",
         "evaluate": "foretouch_lab.learning.training.scoring:evaluate",

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
-from foretouch.doors import TRAINING, needs_extras
+from foretouch.doors import FUNCTIONS, needs_extras
 from foretouch.errors import TactileError
 from foretouch.files import as_path
 from foretouch.grasp.messages import decode_predictions
@@ -217,7 +217,7 @@ def _trained(name: str, *args: Any, **options: Any) -> Any:
     """Call a function of training, which a robot need not have."""
     user = f"foretouch.{name}"
     with needs_extras(user):
-        return TRAINING.load(name, user)(*args, **options)
+        return FUNCTIONS.load(name, user)(*args, **options)
 
 
 def draw(

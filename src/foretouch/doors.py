@@ -9,7 +9,7 @@ A package adds a part by an entry point (the section `[project.entry-points]` of
 - `foretouch.formats`: a `foretouch.dataset.formats.FormatEntry`.
 - `foretouch.models`: a predictor (`foretouch.models.predictor`), or what makes one.
 - `foretouch.recipes`: settings of `foretouch train`, as a dictionary.
-- `foretouch.training`: functions behind `foretouch.fit`, `calibrate`, `evaluate` and `SampleSet.split`.
+- `foretouch.functions`: functions behind others: `fit`, `calibrate` and `evaluate` of `import foretouch`, `SampleSet.split`, `predict --prequential` and `hand check --mesh`.
 
 What `foretouch_lab` brings stands in `setup.py`, in the same way. A robot needs none of it.
 """
@@ -106,8 +106,8 @@ def _entry_points(group: str, path: tuple[str, ...]) -> EntryPoints:  # noqa: AR
     return entry_points(group=group)
 
 
-TRAINING: Final = Door("foretouch.training", "function")
-"""What trains, calibrates and scores models."""
+FUNCTIONS: Final = Door("foretouch.functions", "function")
+"""What is asked of the laboratory by functions of foretouch: to train, calibrate and score models, and to measure a hand."""
 
 
 @contextmanager
@@ -126,6 +126,8 @@ def _cure(module: str) -> str:
     """Say what is not installed, and how to install it; "" for a module that no extra needs."""
     if module in _OPTIONAL:
         return f"{_OPTIONAL[module]} is not installed: pip install 'foretouch[lab]'"
+    if module == "yourdfpy":
+        return "yourdfpy is not installed: pip install 'foretouch[urdf]'"
     if module.endswith(_OF_ROS) and find_spec("rclpy") is None:
         return "ROS 2 is not installed: pip install 'foretouch[ros]', or source your installation (foretouch doctor)"
     if module == "foretouch_msgs":

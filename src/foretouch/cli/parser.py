@@ -44,7 +44,7 @@ EXAMPLES: Final = {
     "sensor check": "foretouch sensor check my_sensor.yaml",
     "sensor show": "foretouch sensor show biotac_sp -o taxels.png",
     "hand list": "foretouch hand list",
-    "hand check": "foretouch hand check my_gripper.yaml",
+    "hand check": "foretouch hand check my_gripper.yaml --urdf my_gripper.urdf -o over.png",
     "hand show": "foretouch hand show franka_hand -o hand.png",
 }
 """A command line for the help of each action of a command, and of foretouch itself; those of commands stand with them."""
