@@ -22,7 +22,7 @@ import numpy as np
 from PIL import Image
 
 from foretouch.grasp.hand import load_hand
-from foretouch.types import Bool, Cloud, Float64, Grasp, Int32, UInt8
+from foretouch.types import Cloud, Float64, Grasp, Int32, UInt8
 from foretouch_lab.simulation.depth_scene import CameraView
 
 Colour = tuple[float, float, float]
@@ -84,7 +84,7 @@ def wood(size: int = 1024) -> bytes:
     waves = sum(a * np.sin(2.0 * np.pi * (f * y + p) + 2.5 * np.sin(2.0 * np.pi * (x + q))) for a, f, p, q in zip(
         (0.5, 0.3, 0.2), (9.0, 23.0, 51.0), rng.random(3), rng.random(3), strict=True))  # fmt: skip
     grain = np.repeat(rng.normal(0.0, 0.35, (size, 1)), size, axis=1) + rng.normal(0.0, 0.12, (size, size))
-    light = (0.9 + 0.045 * waves + 0.035 * grain)[..., None]
+    light = (0.92 + 0.022 * waves + 0.018 * grain)[..., None]
     image = Image.fromarray(np.clip(light * [214, 186, 150], 0, 255).astype(np.uint8))
     held = io.BytesIO()
     image.save(held, "PNG")
@@ -139,11 +139,11 @@ class Stage:
             if hand
         ]
         xml = f"""<mujoco><compiler angle="radian" balanceinertia="true" boundmass="1e-6" boundinertia="1e-9"/>{_DEFAULTS}
-<statistic extent="1"/><visual><global offwidth="1600" offheight="1200"/><map znear="0.02" zfar="6"/><quality shadowsize="4096" offsamples="8"/>
+<statistic extent="1"/><visual><global offwidth="1600" offheight="1200"/><map znear="0.02" zfar="6" shadowclip="2"/><quality shadowsize="4096" offsamples="8"/>
 <headlight ambient=".44 .44 .44" diffuse=".26 .26 .26" specular=".05 .05 .05"/></visual>
 <asset><texture name="sky" type="skybox" builtin="gradient" rgb1=".93 .95 .97" rgb2=".78 .81 .85" width="64" height="64"/>
 <texture name="wood" type="2d" file="wood.png"/><material name="wood" texture="wood" texrepeat="1 1" specular=".1" shininess=".1"/>
-<material name="gloss" specular=".35" shininess=".5"/><material name="shell" specular=".4" shininess=".3" rgba=".36 .39 .43 1"/>
+<material name="gloss" specular=".35" shininess=".5"/><material name="shell" specular=".4" shininess=".3" rgba=".5 .53 .57 1"/>
 {"".join(meshes)}</asset>
 <worldbody><light pos="-.5 .6 1.8" dir=".28 -.33 -1" directional="true" castshadow="true" diffuse=".55 .53 .5" specular=".2 .2 .2"/>
 <geom name="table" type="box" size=".7 .5 .02" pos="0 0 -.02" material="wood"/>
@@ -229,4 +229,66 @@ def frame_in_world(grasp: Grasp, camera: CameraView) -> Float64:
     return frame
 
 
-__all__ = ["HAND", "Bool", "Photograph", "Stage", "Thing", "frame_in_world", "looking"]
+def box(colour: Colour, size: Sequence[float], at: Sequence[float], turn: float = 0.0) -> Thing:
+    """Return a box: its edges and the middle of its lower side [m], turned about the vertical [rad]."""
+    x, y, z = at
+    half = " ".join(f"{edge / 2.0:.4f}" for edge in size)
+    return Thing(colour, shape=f'type="box" size="{half}" pos="{x} {y} {z + size[2] / 2.0}" euler="0 0 {turn}"')
+
+
+def rod(colour: Colour, start: Sequence[float], end: Sequence[float], radius: float) -> Thing:
+    """Return a rod with round ends from one place to another [m]."""
+    ends = " ".join(f"{value:.4f}" for value in (*start, *end))
+    return Thing(colour, shape=f'type="capsule" size="{radius}" fromto="{ends}"')
+
+
+def turned(colour: Colour, profile: Sequence[tuple[float, float]], at: Sequence[float], lying: float | None = None) -> Thing:  # fmt: skip
+    """Return a body of revolution.
+
+    Args:
+        colour: Its colour.
+        profile: Radius and height of points along its outline [m], from the axis to the axis for a closed one.
+        at: Where its axis meets the table [m]; of a lying one, the middle of its lowest line.
+        lying: Direction of the axis of a lying body [rad]; None for one that stands.
+    """
+    angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    rings = np.array([[[r * np.cos(a), r * np.sin(a), z] for a in angles] for r, z in profile])
+    count, steps = len(rings), len(angles)
+    index = np.arange(count * steps).reshape(count, steps)
+    below, above = index[:-1], index[1:]
+    after = np.roll(index, -1, axis=1)
+    faces = np.concatenate([
+        np.stack([below, after[:-1], above], axis=-1).reshape(-1, 3),
+        np.stack([above, after[:-1], after[1:]], axis=-1).reshape(-1, 3),
+    ])  # fmt: skip
+    vertices = rings.reshape(-1, 3)
+    if lying is not None:
+        length, radius = max(z for _, z in profile), max(r for r, _ in profile)
+        along = np.array([np.cos(lying), np.sin(lying), 0.0])
+        axes = np.stack([np.cross([0.0, 0.0, 1.0], along), [0.0, 0.0, 1.0], along])
+        vertices = (vertices - [0.0, 0.0, length / 2.0]) @ axes + [0.0, 0.0, radius]
+    return Thing(colour, vertices + np.asarray(at), faces.astype(np.int32))
+
+
+CAN: Final = ((1e-4, 0.0), (0.033, 0.0), (0.033, 0.1), (1e-4, 0.1))
+BOTTLE: Final = (
+    (1e-4, 0.0),
+    (0.034, 0.0),
+    (0.036, 0.01),
+    (0.036, 0.11),
+    (0.03, 0.13),
+    (0.014, 0.15),
+    (0.013, 0.19),
+    (1e-4, 0.19),
+)
+BOWL: Final = (
+    (1e-4, 0.0),
+    (0.035, 0.0),
+    (0.06, 0.02),
+    (0.075, 0.06),
+    (0.071, 0.06),
+    (0.056, 0.023),
+    (0.03, 0.006),
+    (1e-4, 0.006),
+)
+"""Profiles of `turned`."""
