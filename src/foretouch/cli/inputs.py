@@ -18,7 +18,7 @@ from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import CloudError, ConfigError, ForetouchError, shown
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.types import Cloud, Plane, assumed_table
+from foretouch.types import Cloud, Plane, Sample, assumed_table
 from foretouch.types.scene import Object, Scene
 
 Record = dict[str, Any]
@@ -117,9 +117,9 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "help": "metres per unit of the depth images (default: what the file or recording states, else 0.001 for 16 bits, 1 for floats)",
     },
     "--color": {
-        "metavar": "FILE",
-        "help": "colours of the pixels of a single depth image: .png or .jpg of its size, aligned with it; they are drawn, and models of `xyz+rgb` use them "
-        "(default: what the file or folder states)",
+        "metavar": "FILE|TOPIC",
+        "help": "colours of the pixels: of a single depth image a .png or .jpg of its size, aligned with it; of a recording a topic. They are drawn, and models "
+        "of `xyz+rgb` use them (default: what the file, folder or recording states)",
     },
     "--mask": {
         "metavar": "FILE",
@@ -286,7 +286,7 @@ def target_objects(
     """Find the objects to grasp in one input: the cloud itself, or the targets of its scene.
 
     An organised cloud, or any with --scene, --mask, --pixel or --point, is a scene; otherwise the cloud is one object
-    on --plane or on an assumed table, seen from straight above.
+    on --plane, on the table of its sample, or on an assumed table, seen from straight above.
 
     Returns:
         The objects, at least one; the scene that they are in, or the only object; and by what they were selected: `pixel`,
@@ -298,7 +298,7 @@ def target_objects(
     if holds_one_object(item.cloud, arguments):
         if arguments.target:
             raise ConfigError("--target: is for the objects of a scene, and this cloud is one object; add --scene")
-        target = only_object(item.cloud, arguments)
+        target = only_object(item.cloud, arguments, item.sample)
         return [target], target, ""
     scene = scene_of(item, arguments, pipeline)
     if not scene.objects:
@@ -330,10 +330,12 @@ def draw_result(arguments: argparse.Namespace, scene: Scene | Object, *drawn: An
         warn(f"wrote {arguments.picture}")
 
 
-def only_object(cloud: Cloud, arguments: argparse.Namespace) -> Object:
-    """Return a cloud as one object, on --plane or on an assumed table."""
-    table = assumed_table(cloud) if arguments.plane is None else Plane.from_coefficients(arguments.plane)
-    return Object.of("1", cloud, table)
+def only_object(cloud: Cloud, arguments: argparse.Namespace, sample: Sample | None = None) -> Object:
+    """Return a cloud as one object, on --plane, on the table of its sample, or on an assumed table."""
+    table = None if sample is None else sample.table
+    if arguments.plane is not None:
+        table = Plane.from_coefficients(arguments.plane)
+    return Object.of("1", cloud, table or assumed_table(cloud))
 
 
 def heading(record: Record, by: str = "") -> str:
@@ -378,6 +380,8 @@ def _results(
                     yield item.name, record
             except ForetouchError as err:
                 yield item.name, err
+        for remark in source.remarks:
+            warn(remark)
         if item is None:
             yield path, CloudError(f"{path}: holds no cloud and no sample")
     except ForetouchError as err:

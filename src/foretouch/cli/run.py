@@ -179,15 +179,17 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         if arguments.plane is not None and perception["input"] != "objects":
             raise ConfigError(f"--plane: is for the points of one object; the table is found in {arguments.source}")
         if source.info_topic:
-            arguments.remapped = ["-r", f"perception:depth/image:={source.topic}"]
+            arguments.remapped = _remapped("depth/image", source.topic, source.color_topic)
         return nodes | {"replay": _replay_parameters(arguments, source)}
     if _is_topic(arguments.source):
         perception["input"] = input_of(arguments.source, _TOPIC_S)
         own = "points" if perception["input"] == "points" else "depth/image"
-        arguments.remapped = ["-r", f"perception:{own}:={arguments.source}"]
+        if arguments.color and (own == "points" or not _is_topic(arguments.color)):
+            raise ConfigError(f"--color: {arguments.color} is no topic beside the depth images of {arguments.source}")
+        arguments.remapped = _remapped(own, arguments.source, arguments.color)
         return nodes
     perception["input"] = "depth"
-    arguments.remapped = ["-r", f"perception:depth/image:={DEPTH_TOPIC}"]
+    arguments.remapped = _remapped("depth/image", DEPTH_TOPIC)
     if scene and not arguments.model and not any("model" in parameters for parameters in given):
         nodes["perception"]["model"] = SIMULATED_HAND_MODEL
     for name, parameters in (_scene_nodes(arguments) if scene else {"camera": {}}).items():
@@ -195,6 +197,12 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if any("hand.name" in parameters for parameters in given):
         perception.pop("hand.name", None)
     return nodes
+
+
+def _remapped(own: str, topic: str, colours: str | None = None) -> list[str]:
+    """Return the remaps by which perception receives a topic as one of its own, and the colours, if there are any."""
+    color = ["-r", f"perception:color/image:={colours}"] if colours else []
+    return ["-r", f"perception:{own}:={topic}", *color]
 
 
 def _require_used(arguments: argparse.Namespace, *, scene: bool, files: bool) -> None:
@@ -206,10 +214,12 @@ def _require_used(arguments: argparse.Namespace, *, scene: bool, files: bool) ->
         files: Whether it is a recording or files.
     """
     played, shown = (files, "recordings and files"), (scene, "scenes (.yaml)")
+    beside = files or _is_topic(arguments.source), f"{played[1]}, and depth images on a topic"
     of_options = {
         "--dwell": shown,
         "--rate": (scene or files, f"{played[1]}, and {shown[1]}"),
         **dict.fromkeys(("--topic", "--plane", *CAMERA, "--wait-for", "--wait-limit"), played),
+        "--color": beside,
     }
     for option, (used, users) in of_options.items():
         given = getattr(arguments, option.removeprefix("--").replace("-", "_"))
@@ -294,12 +304,18 @@ def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any
         "info_topic": arguments.info_topic or None,
         "rectified": arguments.rectified,
         "depth_scale": arguments.depth_scale,
+        "color": _whole_name(arguments.color),
         "rate_hz": arguments.rate,
         "table": arguments.plane,
         "wait_for": arguments.wait_for or None,
         "wait_limit_s": arguments.wait_limit,
     }
     return {name: value for name, value in given.items() if value is not None}
+
+
+def _whole_name(color: str | None) -> str | None:
+    """Return a topic as it is, and the path of a file from the root."""
+    return str(Path(color).resolve()) if color and Path(color).exists() else color or None
 
 
 def replay_fault(replay: ReplayNode | None) -> str:

@@ -7,6 +7,8 @@ Messages are those of rclpy or rosbags, or any objects with their fields:
 - `sensor_msgs/CompressedImage` of image_transport's `compressed`: JPEG or PNG, by its content.
 """
 
+import math
+from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +19,7 @@ from foretouch.cloud.io.depth_messages import image_pixels
 from foretouch.cloud.io.images import decode_image, read_image
 from foretouch.errors import CloudError, FileError, none_of, shown
 from foretouch.files import require_existing
-from foretouch.types import AnyArray, UInt8, stamp_ns
+from foretouch.types import AnyArray, UInt8
 
 COLOUR_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".npy")
 COLOUR_ENCODINGS: Final = {
@@ -107,58 +109,79 @@ def require_size(colours: UInt8, shape: tuple[int, ...], of: str) -> None:
 
 
 class ColourImages:
-    """The latest colour images, and which of them belongs to a depth image by their stamps.
+    """The latest colour images, which of them belongs to a depth image by their stamps, and what became of them.
 
     It is the one of the same stamp; else the nearest one within the tolerance, once a later one has come.
 
     Args:
         tolerance_s: Largest difference of the stamps [s].
+
+    Attributes:
+        counts: Depth images by what became of their colours: `paired`, `unpaired` or `refused`.
+        fault: Why a depth image was last without colours.
     """
 
     def __init__(self, tolerance_s: float = TOLERANCE_S) -> None:
         self.tolerance_s = tolerance_s
+        self.counts: Counter[str] = Counter()
+        self.fault = ""
         self._images: dict[int, Any] = {}  # by stamp [ns], which rises
 
-    def add(self, message: Any) -> None:
-        """Add a colour image; those before it are forgotten where its stamp goes back, as a replay's at its start."""
-        stamp = stamp_ns(message.header.stamp)
+    def add(self, stamp: int, image: Any) -> None:
+        """Add a colour image with its stamp [ns]; those before are forgotten where it goes back, as at the start of a replay."""
         if any(other > stamp for other in self._images):
             self._images.clear()
-        self._images[stamp] = message
+        self._images[stamp] = image
         while len(self._images) > _KEPT:
             del self._images[next(iter(self._images))]
 
-    def find(self, stamp: int) -> tuple[Any, bool]:
-        """Find the image that belongs to a stamp [ns].
+    def is_final(self, stamp: int) -> bool:
+        """Return whether no later image can belong to a depth image with a stamp [ns]."""
+        return any(other >= stamp for other in self._images)
+
+    def match(self, stamp: int) -> Any:
+        """Return the image that belongs to a depth image with a stamp [ns]; None, which is counted, if there is none."""
+        nearest = min(self._images, key=lambda other: abs(other - stamp), default=None)
+        away_s = math.inf if nearest is None else abs(nearest - stamp) * 1e-9
+        if nearest is not None and away_s <= self.tolerance_s:
+            return self._images[nearest]
+        self.counts["unpaired"] += 1
+        self.fault = f"no image is within {self.tolerance_s:g} s of the depth image: the nearest is {away_s:.3g} s away"
+        return None
+
+    def decode(self, message: Any, frame_id: str, shape: tuple[int, ...]) -> UInt8 | None:
+        """Decode a colour image as the colours of a depth image; None, which is counted, if it is damaged, or not of its frame and size.
+
+        Args:
+            message: As `decode_colours`.
+            frame_id: Of the depth image.
+            shape: Its rows and columns.
 
         Returns:
-            The image, None if there is none yet; and whether no later one can be nearer.
+            (H, W, 3) uint8, contiguous.
         """
-        if stamp in self._images or not self._images:
-            return self._images.get(stamp), stamp in self._images
-        nearest = min(self._images, key=lambda other: abs(other - stamp))
-        is_near = abs(nearest - stamp) <= self.tolerance_s * 1e9
-        return self._images[nearest] if is_near else None, any(other > stamp for other in self._images)
+        try:
+            colours = colours_of(message, frame_id, shape)
+        except CloudError as err:
+            self.refuse(str(err))
+            return None
+        self.counts["paired"] += 1
+        return colours
 
-    def away_s(self, stamp: int) -> float:
-        """Return the time from a stamp [ns] to the nearest image [s]; infinite without images."""
-        return min((abs(other - stamp) for other in self._images), default=np.inf) * 1e-9
+    def refuse(self, fault: str) -> None:
+        """Count an image that cannot be used for a depth image."""
+        self.counts["refused"] += 1
+        self.fault = fault
+
+    @property
+    def remark(self) -> str:
+        """How many depth images have no colours, and why the last has none; "" if all have."""
+        without = self.counts["unpaired"] + self.counts["refused"]
+        return f"{without} of {self.counts.total()} depth images have no colours: {self.fault}" if without else ""
 
 
 def colours_of(message: Any, frame_id: str, shape: tuple[int, ...]) -> UInt8:
-    """Decode a colour image as that of a depth image.
-
-    Args:
-        message: As `decode_colours`.
-        frame_id: Of the depth image.
-        shape: Its rows and columns.
-
-    Returns:
-        (H, W, 3) uint8, contiguous.
-
-    Raises:
-        CloudError: As `decode_colours`, or if it is of another frame or size; the message names both.
-    """
+    """Decode a colour image as `ColourImages.decode`; a `CloudError` names what is wrong, with both frames or sizes."""
     own = message.header.frame_id
     if own and own != frame_id:
         cure = "align one with the other in the driver, such as by align_depth"

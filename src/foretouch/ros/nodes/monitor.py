@@ -31,7 +31,7 @@ from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
-from foretouch.types import ASSUMED_TABLE, Cloud, Sample, stamp_ns
+from foretouch.types import Cloud, Sample, stamp_ns
 from foretouch.types.scene import Object
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
@@ -163,7 +163,7 @@ class MonitorNode(Node):
         if object_message is None or object_message.header.frame_id != prediction.header.frame_id:
             return None
         try:
-            objects = decode_objects(object_message, ASSUMED_TABLE)
+            objects = decode_objects(object_message)
             scene = None if scene_message is None else decode_cloud(scene_message)
         except CloudError:
             return None
@@ -193,7 +193,7 @@ class MonitorNode(Node):
                 self._on_touch(message)
 
     def _receive_cloud(self, data: bytes) -> None:
-        self._assemble("cloud", SerializedCloud(data, partial(read_serialized, data, PointCloud2)))
+        self._assemble("cloud", SerializedCloud(data, lambda: decode_objects(read_serialized(data, PointCloud2))))
 
     def _assemble(self, role: Role, message: Any) -> None:
         now_s = time.monotonic()

@@ -12,14 +12,13 @@ drawn, published or used by the model. A depth image is answered with or without
 import math
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
-from foretouch.cloud.io.colours import TOLERANCE_S, ColourImages, colours_of
+from foretouch.cloud.io.colours import TOLERANCE_S, ColourImages
 from foretouch.cloud.io.depth_messages import CameraInfos, decode_depth, info_topic
 from foretouch.cloud.messages import decode_cloud
 from foretouch.config import Settings, setting
@@ -96,8 +95,8 @@ class CameraInput(Step):
         node.subscribe(InputTopic(images, kind, latched=None), receive)
         self._colours = ColourImages(node.config.color_tolerance_s)
         self._colour_s = -math.inf  # when the last colour image arrived, `time.monotonic` [s]
-        self._counts: Counter[str] = Counter()  # colour images, and depth images with and without their colours
-        self._colourless = -math.inf, ""  # when a depth image was last without its colours, and why
+        self._received = 0  # colour images
+        self._colourless_s = -math.inf  # when a depth image was last without its colours, `time.monotonic` [s]
         colours = node.resolve_topic_name(_COLOUR_TOPIC)
         kind = CompressedImage if colours.endswith("/compressed") else Image
         node.subscribe(InputTopic(colours, kind, latched=None), self._receive_colours)
@@ -130,11 +129,11 @@ class CameraInput(Step):
         """Repeat what was last logged about a camera info, count colours, and say why a depth image has none."""
         if self._last_report:
             report.values["camera_info"] = self._last_report
-        if self._node.config.input == "depth" and self._counts:
-            report.values |= {f"color.{name}": str(count) for name, count in sorted(self._counts.items())}
-            when_s, why = self._colourless
-            if time.monotonic() - when_s < _RECENT_S:
-                report.warnings.append(f"{_COLOUR_TOPIC}: {why}")
+        if self._node.config.input == "depth" and self._received:
+            counts = {"received": self._received, **self._colours.counts}
+            report.values |= {f"color.{name}": str(count) for name, count in counts.items()}
+            if time.monotonic() - self._colourless_s < _RECENT_S:
+                report.warnings.append(f"{_COLOUR_TOPIC}: {self._colours.fault}")
 
     def _camera(self, frame: str, shape: Any) -> Any:
         with self._changed:
@@ -148,41 +147,27 @@ class CameraInput(Step):
 
     def _receive_colours(self, message: Any) -> None:
         with self._changed:
-            self._colours.add(message)
+            self._colours.add(stamp_ns(message.header.stamp), message)
             self._colour_s = time.monotonic()
-            self._counts["received"] += 1
+            self._received += 1
             self._changed.notify_all()
 
     def _colours_of(self, frame: str, shape: tuple[int, int], stamp: int) -> UInt8 | None:
         """Return the colours (H, W, 3) of a depth image, after a wait of `color_wait_s` at most; None without any, or where nobody looks."""
-        if not (self._counts["received"] and self._shows_colours()):
+        if not (self._received and self._shows_colours()):
             return None
-        began_s = time.monotonic()
+        until_s, colours = time.monotonic() + self._node.config.color_wait_s, self._colours
         with self._changed:
-            while True:
-                found, is_final = self._colours.find(stamp)
+            while not colours.is_final(stamp):
                 now_s = time.monotonic()
-                left_s = began_s + self._node.config.color_wait_s - now_s
-                if is_final or left_s <= 0.0 or now_s - self._colour_s > _SILENT_S:
+                if now_s >= until_s or now_s - self._colour_s > _SILENT_S:
                     break
-                self._changed.wait(min(left_s, _POLL_S))
-            away_s = self._colours.away_s(stamp)
-        if found is None:
-            why = f"no image is within {self._colours.tolerance_s:g} s of the depth image: the nearest is {away_s:.3g} s away"
-            self._note("unpaired", why)
-            return None
-        try:
-            colours = colours_of(found, frame, shape)
-        except CloudError as err:
-            self._note("refused", str(err))
-            return None
-        self._counts["paired"] += 1
-        return colours
-
-    def _note(self, reason: str, why: str) -> None:
-        """Count a depth image that is answered without colours."""
-        self._counts[reason] += 1
-        self._colourless = time.monotonic(), why
+                self._changed.wait(min(until_s - now_s, _POLL_S))
+            found = colours.match(stamp)
+        decoded = None if found is None else colours.decode(found, frame, shape)
+        if decoded is None:
+            self._colourless_s = time.monotonic()
+        return decoded
 
     def _receive_info(self, message: CameraInfo) -> None:
         with self._changed:
