@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -121,9 +122,11 @@ def draw_found(axes: Axes, scene: Scene) -> None:
         shade[inside] = (*to_rgb(colour), 0.55)
         axes.imshow(shade)
         axes.contour(inside.astype(float), levels=[0.5], colors=colour, linewidths=1.2)
-        rows, columns = np.nonzero(inside)
-        k = int(np.argmin(np.hypot(rows - np.median(rows), columns - np.median(columns))))
-        label(axes, part.background, (np.clip(columns[k], 110, width - 110), rows[k]), colour)
+        alike = (one for one in scene.background if one.background == part.background)
+        if part is max(alike, key=attrgetter("n_points")):
+            rows, columns = np.nonzero(inside)
+            k = int(np.argmin(np.hypot(rows - np.median(rows), columns - np.median(columns))))
+            label(axes, part.background, (columns[k], rows[k]), colour)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
 
 
@@ -215,13 +218,10 @@ def draw_taken(axes: Axes, things: Sequence[Thing], camera: CameraView, grasp: G
     for place, name, colour in zip((thumb, finger), ("thumb", "middle finger"), FINGER_COLOURS, strict=False):
         axes.plot(*place, "o", color=colour, markeredgecolor="white", markersize=7.5)
         label(axes, name, (place[0] + (-75 if place[0] < middle_of[0] else 130), place[1] + 50), colour)
-    start, end = on_picture(
-        eye, middle - np.outer([0.29, 0.2], into) - 0.07 * across * np.cos(turn) - 0.07 * aside * np.sin(turn)
-    )
-    axes.annotate(
-        "", end, start, arrowprops={"arrowstyle": "-|>,head_width=0.4,head_length=0.8", "color": "#c8501e", "lw": 3.0}
-    )
-    label(axes, "way in", (start[0], start[1] - 22), "#c8501e")
+    start, ahead = np.array([490.0, 75.0]), middle_of - shallow
+    end, arrow = start + 140.0 * ahead / np.linalg.norm(ahead), "-|>,head_width=0.4,head_length=0.8"
+    axes.annotate("", end, start, arrowprops={"arrowstyle": arrow, "color": "#c8501e", "lw": 3.0})
+    label(axes, "way in", (start[0], start[1] - 25), "#c8501e")
     label(axes, f"depth {1e3 * grasp.way.depth_m:.0f} mm", (510, 550), INK)
     axes.annotate("", (middle_of + shallow) / 2.0, (510, 530), arrowprops={"arrowstyle": "-", "color": INK, "lw": 1.2})
     axes.set(xticks=[], yticks=[], xlim=(0, 640), ylim=(600, 0))

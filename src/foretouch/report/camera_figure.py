@@ -49,8 +49,9 @@ def draw_camera(
     for k, inside in enumerate(areas.values()):
         colour = colours[k % len(colours)]
         whole = inside | (without_slits(inside) & bare & ~taken)
-        for width, line in ((3.2, "white"), (1.7, colour)):
-            axes.contour(whole.astype(np.float32), levels=[0.5], colors=line, linewidths=width)
+        for line in outlines_of(whole):
+            axes.plot(*line.T, color="white", linewidth=3.2)
+            axes.plot(*line.T, color=colour, linewidth=1.7)
     for k, (name, inside) in enumerate(areas.items()):
         if k < _LABELS and inside.any():
             _name(axes, name, inside, colours[k % len(colours)], grasp)
@@ -64,6 +65,14 @@ def draw_scene_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
     """Draw the image of a scene with its table and objects."""
     areas = {object_.id: scene.labels == int(object_.id) for object_ in scene.objects}
     draw_camera(axes, scene.cloud, areas, table=scene.outline, grasp=grasp)
+
+
+def outlines_of(inside: Bool) -> list[Float64]:
+    """Return the outlines of an area (H, W) as lines (N, 2) of columns and rows, half a pixel outside."""
+    from matplotlib.figure import Figure
+
+    (path,) = Figure().subplots().contour(inside.astype(np.float32), levels=[0.5]).get_paths()
+    return [np.asarray(line, np.float64) for line in path.to_polygons(closed_only=False)]
 
 
 def area_of(target: Object, cloud: Cloud) -> Bool:
