@@ -21,7 +21,7 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig,
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, flattened, setting
-from foretouch.errors import CloudError, ConfigError, shown
+from foretouch.errors import CloudError, ConfigError, require_type, shown
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, plan_grasps, with_rotations
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.grasp.unseen import DepthAround
@@ -102,9 +102,8 @@ class Pipeline(Summarised):
     """
 
     def __init__(self, config: PipelineConfig | None = None) -> None:
-        if not isinstance(config, PipelineConfig | None):
-            rule = 'is not a PipelineConfig, such as PipelineConfig().updated({"grasp.count": 3}, "mine")'
-            raise ConfigError(f"config: {type(config).__name__} {rule}")
+        rule = 'not a PipelineConfig, such as PipelineConfig().updated({"grasp.count": 3}, "mine")'
+        require_type(config, PipelineConfig | None, "config", rule, ConfigError)
         self.config = config if config is not None else PipelineConfig()
         self._model: TouchModel | None = None
 
@@ -196,9 +195,7 @@ class Pipeline(Summarised):
         Raises:
             CloudError: If a scene, a cloud or background is passed for the object.
         """
-        if not isinstance(target, Object):
-            rule = "is not an object of a scene, such as segment(cloud).objects[0]; Pipeline().run(cloud, plane) takes one object's points"
-            raise CloudError(f"target: {type(target).__name__} {rule}")
+        require_object(target)
         if target.background:
             raise CloudError(f"target: is background ({target.background}); grasps are planned on objects of a scene")
         plan = plan_grasps(
@@ -250,6 +247,7 @@ class Pipeline(Summarised):
         Returns:
             A row for each grasp, in order.
         """
+        require_object(target)
         model, grasps = self.model, Grasps.of(grasps)
         if not grasps:
             return Predictions.refused(grasps, model.sensor.channels, "refused", "")
@@ -285,3 +283,9 @@ class Pipeline(Summarised):
             with timed(ms, "touch"):
                 results.append(TargetResult(target, plan, self.predict(target, plan.grasps)))
         return PipelineResult.of(scene, results, ms)
+
+
+def require_object(target: Any) -> None:
+    """Refuse what is no object of a scene, with a `CloudError` that says how to get one."""
+    rule = "not an object of a scene, such as segment(cloud).objects[0]; Pipeline().run(cloud, plane) takes one object's points"
+    require_type(target, Object, "target", rule, CloudError)

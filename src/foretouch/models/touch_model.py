@@ -19,7 +19,16 @@ from typing import Any, Final, Self
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
-from foretouch.errors import CloudError, FileError, ForetouchError, ModelError, TactileError, described, shown
+from foretouch.errors import (
+    CloudError,
+    FileError,
+    ForetouchError,
+    ModelError,
+    TactileError,
+    described,
+    require_type,
+    shown,
+)
 from foretouch.files import as_path, read_bytes, replace_files, system_errors
 from foretouch.grasp.axis import with_rotations
 from foretouch.grasp.config import GeoGraspConfig
@@ -50,6 +59,8 @@ SIMILAR_TOUCHES: Final = "similar_touches"
 NO_TABLE: Final = "assumed_table"
 """Flag of predictions without a table: they hold if the camera looked straight down."""
 
+_NO_MODEL: Final = "not a TouchModel, such as load_model()"
+_NO_CHOICE: Final = "not True, False or None"
 _TRACKER: Final = "tracker/"
 _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tares share would be counted as many
 
@@ -440,8 +451,7 @@ class History(Summarised):
     """
 
     def __init__(self, model: TouchModel) -> None:
-        if not isinstance(model, TouchModel):
-            raise ModelError(f"model: {shown(model)} is not a TouchModel, such as load_model()")
+        require_type(model, TouchModel, "model", _NO_MODEL, ModelError)
         self.model = model
         self.tracker = model.new_tracker()
         self.signature: tuple[str, Float64] | None = None
@@ -522,6 +532,8 @@ class History(Summarised):
             GraspError: If no hand can execute the grasp.
         """
         cloud, table = _cloud_and_table(target)
+        require_type(same_object, bool | np.bool_ | None, "same_object", _NO_CHOICE, ModelError)
+        require_type(estimate, Estimate | None, "estimate", "not an Estimate of this model", ModelError)
         same = self.is_current(cloud, _SAME_OBJECT_M) if same_object is None else same_object
         values = self.model.usable_values(reading, "touched")
         tdc = _checked_tdc(tdc, self.model)
@@ -572,6 +584,7 @@ class History(Summarised):
             tare: Whether a tare was taken shortly before.
             tdc: (F,) TDC at that time [counts]; where it is not known, the latest one counts.
         """
+        require_type(same_object, bool | np.bool_ | None, "same_object", _NO_CHOICE, ModelError)
         history = self.copy()
         history.stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
         history.same_object = same_object
@@ -646,9 +659,9 @@ class History(Summarised):
             FileError: If the file is absent or damaged, or of another version, sensor, hand or model.
             ModelError: If the model has no calibration.
         """
-        if not isinstance(model, TouchModel):
-            raise ModelError(f"model: {shown(model)} is not a TouchModel, such as load_model()")
+        require_type(model, TouchModel, "model", _NO_MODEL, ModelError)
         path = as_path(path)
+        require_type(hand, str | None, "hand", "not a name", ModelError)
         model.new_tracker()  # a model without a calibration is named before the file
         tensors = unpack_history(path, hand, model.name, model.sensor.channels)
         try:
