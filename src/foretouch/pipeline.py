@@ -25,7 +25,7 @@ from foretouch.errors import CloudError, ConfigError, require_type, shown
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, plan_grasps, with_rotations
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.grasp.unseen import DepthAround
-from foretouch.models import History, TouchModel, load_model
+from foretouch.models import History, Readings, TouchModel, load_model
 from foretouch.models.registry import MODEL_WORDS, PREDICTOR_WORDS
 from foretouch.types import Cloud, Float64, Grasp, Grasps, Plane, Predictions, Touch
 from foretouch.types.cloud import require_cloud
@@ -234,7 +234,12 @@ class Pipeline(Summarised):
         return with_rotations(Grasps.of([grasp]), target.cloud, target.plane, self.config.grasp)[0]
 
     def predict(
-        self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: History | None = None
+        self,
+        target: Object,
+        grasps: Sequence[Grasp],
+        *,
+        tare: Touch | None = None,
+        history: History | Readings | None = None,
     ) -> Predictions:
         """Predict touch for each grasp on one object (see `TouchModel.predict`).
 

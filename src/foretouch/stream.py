@@ -121,9 +121,9 @@ class Stream(Summarised):
         results = []
         with timed(ms, "touch"):
             stamp_ns = cloud.stamp_ns or None
-            history = self.history and self.history.snapshot(stamp_ns, same_object=None, tare=self.history.tared)
             for target, plan in zip(scene.targets, plans, strict=True):
-                results.append(TargetResult(target, plan, self.pipeline.predict(target, plan.grasps, history=history)))
+                read = None if self.history is None else self.history.at(stamp_ns, target)
+                results.append(TargetResult(target, plan, self.pipeline.predict(target, plan.grasps, history=read)))
         return PipelineResult.of(scene, results, ms)
 
     def find(self, cloud: Cloud, *, mask: npt.ArrayLike | None = None) -> Scene:
