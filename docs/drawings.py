@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw the pictures of the documents: python docs/drawings.py [PICTURE ...].
 
-All but `touch_recorded` show scenes of our own, which MuJoCo renders with colour and depth (docs/rendering.py); what is drawn over
+`bottles` shows the objects in the recorded image of examples/data/bottles. All others but `touch_recorded` show scenes of our own, which MuJoCo renders with colour and depth (docs/rendering.py); what is drawn over
 them is what foretouch answers. `touch_recorded` shows grasps of the public recordings (FORETOUCH_DATA) that the model was not fitted
 to: the recipe of `contact-v2` is fitted to all but the last fifth of each object's grasps, in order of time. Of that last fifth, the
 grasps are drawn whose mean electrode error lies at the lower quartile, the median and the upper quartile.
@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from rendering import BOTTLE, BOWL, CAN, HAND, Photograph, Stage, Thing, box, frame_in_world, looking, rod, turned
 
+from foretouch.cli.main import main as command
 from foretouch.grasp import GraspPlan
 from foretouch.models import History, load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
@@ -491,6 +492,12 @@ def draw_hands() -> None:
     shrink(FOLDER / "hands.png")
 
 
+def draw_bottles() -> None:
+    """Draw what `foretouch segment` finds in the recorded image of the examples."""
+    command(["segment", str(FOLDER.parent / "examples" / "data" / "bottles"), "--picture", str(FOLDER / "bottles.png")])
+    shrink(FOLDER / "bottles.png")
+
+
 PICTURES: Final[dict[str, Callable[[], None]]] = {
     "steps": draw_steps,
     "frames": draw_frames,
@@ -500,6 +507,7 @@ PICTURES: Final[dict[str, Callable[[], None]]] = {
     "adaptation": draw_adaptation,
     "intervals": draw_intervals,
     "hands": draw_hands,
+    "bottles": draw_bottles,
     "touch_recorded": draw_recorded,
 }
 
