@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw the pictures of the documents: python docs/drawings.py [PICTURE ...].
 
-`bottles` shows the objects in the recorded image of examples/data/bottles. All others but `touch_recorded` show scenes of our own, which MuJoCo renders with colour and depth (docs/rendering.py); what is drawn over
-them is what foretouch answers. `touch_recorded` shows grasps of the public recordings (FORETOUCH_DATA) that the model was not fitted
+`bottles` shows the objects in the recorded image of examples/data/bottles. All others but `touch_recorded` show scenes of our
+own, which MuJoCo renders with colour and depth (docs/rendering.py); what is drawn over them is what foretouch answers. `touch_recorded` shows grasps of the public recordings (FORETOUCH_DATA) that the model was not fitted
 to: the recipe of `contact-v2` is fitted to all but the last fifth of each object's grasps, in order of time. Of that last fifth, the
 grasps are drawn whose mean electrode error lies at the lower quartile, the median and the upper quartile.
 """
