@@ -152,7 +152,7 @@ class TargetConfig(Settings):
 
     mode: TargetMode = setting(
         "nearest",
-        "nearest to the camera of those that are surest to be whole, largest in points, the one at a point, the nearest whose best grasp no other object blocks, or all",
+        "nearest to the camera of the objects that are most surely whole, largest in points, the one at a point, the nearest whose best grasp no other object blocks, or all",
         choices=get_args(TargetMode),
     )
     point: tuple[float, ...] = setting((), "x, y, z for mode point, in the cloud's frame", unit="m")
@@ -230,7 +230,7 @@ def surest(objects: Sequence[Object], config: TargetConfig, previous: Float64 | 
 
     Those that the image does not cut, if there are any; of these, those whose confidence is at most `confidence_margin` below the
     highest one. For the object that is where the previous target was the margin is twice as wide, so that noise does not change the
-    target in a stream. Where a confidence is not known, as of a mask, none is left out for it.
+    target in a stream. Objects without a confidence, such as from a mask, are all kept.
     """
     whole = _whole(objects)
     known = [obj.confidence for obj in whole if obj.confidence is not None]
