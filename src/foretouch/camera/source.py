@@ -27,7 +27,7 @@ class ImageSource(Protocol):
         """
         ...
 
-    def device(self, show: ScheduleConfig, fps: int) -> Any:
+    def device(self, show: ScheduleConfig, fps: int, *, color: bool) -> Any:
         """Return what feeds the images to librealsense's software device, such as `SyntheticCamera` of the laboratory.
 
         It has `shape`, the (H, W) of its images; `start()` and `close()`; `fault`, why nothing is shown now, or ""; and what the class
@@ -36,6 +36,7 @@ class ImageSource(Protocol):
         Args:
             show: What is shown when.
             fps: Images per second.
+            color: Whether it gives an image of colours with each, aligned to it.
         """
         ...
 

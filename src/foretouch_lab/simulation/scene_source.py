@@ -40,9 +40,9 @@ class SceneSource:
             }
         return nodes
 
-    def device(self, show: ScheduleConfig, fps: int) -> SyntheticCamera:
+    def device(self, show: ScheduleConfig, fps: int, *, color: bool) -> SyntheticCamera:
         """Return the camera of a scene, not yet started."""
-        return scheduled_camera(show, fps)
+        return scheduled_camera(show, fps, color=color)
 
 
 SCENE: Final = SceneSource()
