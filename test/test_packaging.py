@@ -158,7 +158,7 @@ NOT_IN_ROSDEP = {
     "trimesh",
     "lzf",
 }
-OPTIONAL = ("lab", "sim", "hdf5", "tables", "camera", "sweep", "open3d", "view", "serve")
+OPTIONAL = ("lab", "sim", "hdf5", "tables", "camera", "sweep", "open3d", "view", "serve", "urdf")
 ONLY_IN_FULL_ROS = {"sr_robot_msgs", "tf2_ros"}
 COMES_WITH = {"mpl_toolkits": "matplotlib"}
 
@@ -191,7 +191,7 @@ def test_the_metadata_and_package_xml_require_what_is_imported() -> None:
     others = {"foretouch_msgs", "rcl_interfaces", "builtin_interfaces", "std_msgs", "ament_index_python", "action_msgs"}
     robot = imported("src/foretouch") - ros - others
     assert robot - set(required(*OPTIONAL)) - ONLY_IN_FULL_ROS == set(required(None))
-    laboratory = imported("src/foretouch_lab") - ros - others - set(required(None, "open3d", "sweep"))
+    laboratory = imported("src/foretouch_lab") - ros - others - set(required(None, "open3d", "sweep", "urdf"))
     assert laboratory == set(required("lab"))
     assert not robot & laboratory
     declared = {one.text or "" for one in ET.parse(ROOT / "package.xml").getroot().findall("exec_depend")}

@@ -35,6 +35,8 @@ def _cure(module: str) -> str:
     """Say what is not installed, and how to install it; "" for a module that no optional part needs."""
     if module in _LABORATORY:
         return f"{_LABORATORY[module]} is not installed: pip install 'foretouch[lab]'"
+    if module == "yourdfpy":
+        return "yourdfpy is not installed: pip install 'foretouch[urdf]'"
     if module.endswith(_OF_ROS) and find_spec("rclpy") is None:
         return "ROS 2 is not installed: pip install 'foretouch[ros]', or source your installation (foretouch doctor)"
     if module == "foretouch_msgs":

@@ -99,7 +99,7 @@ def test_numbers_that_begin_below_0_belong_to_their_option() -> None:
         assert vars(apart) == vars(joined), option
 
 
-MAY_BE_ZERO = ("--seed", "--vary", "--wait-limit")
+MAY_BE_ZERO = ("--seed", "--width", "--vary", "--wait-limit")
 CHECKED_LATER = {"grasp --tip-mm": "tip_mm", "grasp --count": "count", "grasp --slide-m": "slide_m"}
 """Options whose bounds are those of a setting, and its name in the error."""
 

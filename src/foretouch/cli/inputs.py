@@ -90,7 +90,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--target": {
         "type": one_of("nearest", "largest", "free", "all"),
         "metavar": "{nearest,largest,free,all}",
-        "help": "objects of a cloud to use; nearest is of those that are surest to be whole, free the nearest whose best grasp no other object blocks (default: nearest; all for predict)",
+        "help": "objects of a cloud to use; nearest: the nearest of the objects that are most surely whole; free: the nearest whose best grasp no other object blocks (default: nearest; all for predict)",
     },
     "--intrinsics": {
         "type": numbers,

@@ -63,7 +63,7 @@ EXAMPLES: Final = {
     "sensor show": "foretouch sensor show biotac_sp -o taxels.png",
     "hand": "foretouch hand list",
     "hand list": "foretouch hand list",
-    "hand check": "foretouch hand check my_gripper.yaml",
+    "hand check": "foretouch hand check my_gripper.yaml --urdf my_gripper.urdf -o over.png",
     "hand show": "foretouch hand show franka_hand -o hand.png",
     "doctor": "foretouch doctor --self-test",
 }

@@ -68,8 +68,10 @@ def extract_objects(
             if reason == ENTERS or (reason and candidate.n_points >= config.min_points):
                 behind.append((candidate.distance_m, number, label, replace(candidate, background=reason)))
             elif not reason and _plausible(candidate, top_m, threshold, config):
-                flags = (CUT,) if found is not None and found.cut[first + label] else ()
-                standing.append((candidate.distance_m, number, label, replace(candidate, flags=flags)))
+                cut = found is not None and bool(found.cut[first + label])
+                standing.append(
+                    (candidate.distance_m, number, label, replace(candidate, flags=(CUT,)) if cut else candidate)
+                )
             else:
                 rejected.append(candidate.n_points)
         first += window.n_labels
@@ -104,7 +106,7 @@ def _clusters(
         if end > start:
             rgb = None if flat.rgb is None else flat.rgb.take(pixels[start:end], axis=0)
             part = Cloud(points[start:end], rgb, flat.frame_id, flat.stamp_ns)
-            centroid = columns[:, start:end].mean(axis=1)
+            centroid = np.add.reduce(columns[:, start:end], axis=1) / (end - start)  # in half the time of mean
             box = bounds[cluster].astype(np.float64)
             yield cluster, Object("0", part, plane, centroid, box, pixels[start:end], shape), float(tops[cluster])
         start = end
@@ -133,7 +135,7 @@ class TargetConfig(Settings):
 
     mode: TargetMode = setting(
         "nearest",
-        "nearest to the camera of those that are surest to be whole, largest in points, the one at a point, the nearest whose best grasp no other object blocks, or all",
+        "nearest to the camera of the objects that are most surely whole, largest in points, the one at a point, the nearest whose best grasp no other object blocks, or all",
         choices=get_args(TargetMode),
     )
     point: tuple[float, ...] = setting((), "x, y, z for mode point, in the cloud's frame", unit="m")
@@ -211,7 +213,7 @@ def surest(objects: Sequence[Object], config: TargetConfig, previous: Float64 | 
 
     Those that the image does not cut, if there are any; of these, those whose confidence is at most `confidence_margin` below the
     highest one. For the object that is where the previous target was the margin is twice as wide, so that noise does not change the
-    target in a stream. Where a confidence is not known, as of a mask, none is left out for it.
+    target in a stream. Objects without a confidence, such as from a mask, are all kept.
     """
     whole = _whole(objects)
     known = [obj.confidence for obj in whole if obj.confidence is not None]
