@@ -16,7 +16,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +23,8 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.models.own import GROUP, find_predictor
+from foretouch.models.own import PREDICTORS as INSTALLED
+from foretouch.models.own import find_predictor
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import Rows
@@ -141,7 +141,7 @@ def _model(name: str, seed: int) -> Any:
     except ConfigError as err:
         if Path(name).exists():
             return load_model(name)
-        if name in entry_points(group=GROUP).names:
+        if name in INSTALLED:
             return find_predictor(name)
         raise ConfigError(f"models: {err}; nor is it a model folder or module:attribute") from err
 

@@ -12,7 +12,8 @@ class Recorded:
 
     def __init__(self, **options):
         self.done, self.dropped, self.begun, self.go = [], [], threading.Semaphore(0), threading.Semaphore(0)
-        self.worker = Worker("w", self.work, lambda *one: self.dropped.append(one), **options)
+        self.errors = []
+        self.worker = Worker("w", self.work, self.errors.append, lambda *one: self.dropped.append(one), **options)
 
     def work(self, item):
         self.begun.release()
@@ -64,7 +65,12 @@ def test_work_that_takes_too_long_is_left_behind_and_knows_it():
     one = Recorded()
     behind = []
     work = one.work
-    one.worker = Worker("w", lambda item: (work(item), behind.append((item, one.worker.left_behind))), lambda *_: None)
+    one.worker = Worker(
+        "w",
+        lambda item: (work(item), behind.append((item, one.worker.left_behind))),
+        one.errors.append,
+        lambda *_: None,
+    )
     one.worker.start()
     one.begin("slow")
     assert one.worker.busy_s > 0.0
@@ -76,5 +82,8 @@ def test_work_that_takes_too_long_is_left_behind_and_knows_it():
     while len(behind) < 2:
         time.sleep(0.001)
     assert sorted(behind) == [("next", False), ("slow", True)]
+    one.go.release()
+    one.begin("after")  # which the thread that was left behind does not take
     assert one.worker.stop(5.0)
-    assert one.worker.busy_s == 0.0
+    assert behind[-1] == ("after", False)
+    assert (one.worker.busy_s, one.errors) == (0.0, [])
