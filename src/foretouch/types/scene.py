@@ -75,7 +75,7 @@ class Object(Summarised):
     obstacles: Obstacles | None = None  # all objects of the scene, if there are several
     image: Cloud | None = None  # the organised cloud that it was cut from, with the pixels around it; None if not known
     confidence: float | None = (
-        None  # probability that it is one whole object; None where it is not known, as with a mask
+        None  # probability that it is one whole object; None where it is not known, such as for a mask
     )
     background: str = ""  # why it is no object, one of `cloud.segmentation.background.REASONS`; "" for an object
 
