@@ -174,7 +174,7 @@ def test_each_fault_of_an_image_or_an_info_is_one_named_refusal_and_the_next_ima
 
 def test_clouds_that_are_remapped_but_not_received_are_told(graph, model_card, capfd):
     options = {"cli_args": ["--ros-args", "-r", "points:=/camera/points"]}
-    node = node_class("perception")(parameter_overrides=graph.parameters(model=model_card), **options)
+    node = NODES.load("perception")(parameter_overrides=graph.parameters(model=model_card), **options)
     graph.serve(node)
     node.autostart()
     assert "/camera/points is not received: input is depth; set input:=points" in capfd.readouterr().err
