@@ -7,6 +7,8 @@
 `contact-v2` is fitted to all but the last fifth of each object's grasps, in order of time. Of that last fifth, the grasps
 are drawn whose mean electrode error lies at the lower quartile, the median and the upper quartile.
 
+`bottles` shows the objects in the recorded image of examples/data/bottles.
+
 `demo` is the moving picture of README. The can of `config/scenes/demo.yaml` lies among three other objects, once with each of
 twenty seeds, and is grasped once. The grasp is shown whose mean electrode error is the median (of two, the lower).
 """
@@ -14,6 +16,7 @@ twenty seeds, and is grasped once. The grasp is shown whose mean electrode error
 import io
 import os
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +32,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from PIL import Image
 
+from foretouch.cli.main import main as command
 from foretouch.grasp.hand import FINGER, THUMB, Hand, load_hand
 from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult
 from foretouch.report.finger_figure import FingerScale
@@ -352,12 +356,24 @@ def draw_hands() -> None:
     sheet.quantize(64).save(FOLDER / "hands.png", optimize=True)
 
 
+def draw_bottles() -> None:
+    """Draw what `foretouch segment` finds in the recorded image of the examples."""
+    with tempfile.TemporaryDirectory() as folder:
+        picture = Path(folder) / "bottles.png"
+        command(["segment", str(FOLDER.parent / "examples" / "data" / "bottles"), "--picture", str(picture)])
+        image = Image.open(picture).convert("RGB")
+        small = image.resize((3 * image.width // 4, 3 * image.height // 4), Image.Resampling.LANCZOS)
+        small.quantize(96).save(FOLDER / "bottles.png", optimize=True)
+
+
 def main(picture: str = "") -> None:
     """Draw one, or all of docs/concepts.md."""
     if picture == "touch_recorded":
         return draw_recorded()
     if picture == "demo":
         return draw_demo()
+    if picture == "bottles":
+        return draw_bottles()
     if picture == "hands":
         return draw_hands()
     cloud, result = scene()

@@ -17,7 +17,7 @@ from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import join_objects
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.ros.messages.placement import Placement
-from foretouch.types import AnyArray, Cloud, Float64
+from foretouch.types import AnyArray, Cloud, Float64, UInt8
 from foretouch.types.camera import MODELS
 from foretouch.types.cloud import DepthCloud
 from foretouch.types.scene import Object, Scene
@@ -77,6 +77,11 @@ def depth_to_msgs(frame: DepthFrame) -> tuple[Image, CameraInfo]:
         p=np.insert(camera.matrix.ravel(), [3, 6, 9], 0.0),
     )
     return image, info
+
+
+def colours_to_msg(header: Header, rgb: UInt8) -> Image:
+    """Convert colours (H, W, 3) uint8 to rgb8."""
+    return _image(header, rgb, "rgb8")
 
 
 def _image(header: Header, pixels: AnyArray, encoding: str) -> Image:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publishes depth images from a RealSense that is connected, recorded or simulated, by the names of `realsense2_camera`.
 
-Clouds are published on `points` while somebody subscribes to them.
+Clouds are published on `points` while somebody subscribes to them, and with `camera.color` the colours of the images on
+`color/image`, with their header.
 
 Threads: one thread reads the camera (and so opens, waits for and reopens it) and publishes; the
 executor's callbacks only read its status.
@@ -20,12 +21,15 @@ from foretouch.cloud.io.depth_messages import info_topic
 from foretouch.config import setting
 from foretouch.errors import CloudError
 from foretouch.laboratory import needs_laboratory
-from foretouch.ros.messages.clouds import cloud_to_msg, depth_to_msgs
+from foretouch.ros.messages.clouds import cloud_to_msg, colours_to_msg, depth_to_msgs
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
 
 DEPTH_TOPIC: Final = "depth/image_rect_raw"
 """Of the depth images, as `realsense2_camera` names it; their infos are beside it."""
+
+COLOUR_TOPIC: Final = "color/image"
+"""Of the colours of their pixels, as `perception` receives them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,11 +61,12 @@ class CameraNode(ThreadNode[CameraNodeConfig]):
             with needs_laboratory("source: scene"):
                 from foretouch_lab.simulation.scene_camera import scheduled_camera
 
-            self.synthetic = scheduled_camera(config.scene, config.camera.fps)
+            self.synthetic = scheduled_camera(config.scene, config.camera.fps, color=config.camera.color)
             self._size = dict(zip(("height", "width"), self.synthetic.shape, strict=True))
         self._image = self.advertise(Image, DEPTH_TOPIC)
         self._info = self.advertise(CameraInfo, info_topic(DEPTH_TOPIC))
         self._points = self.advertise(PointCloud2, "points")
+        self._colours = self.advertise(Image, COLOUR_TOPIC) if config.camera.color else None
 
     def _start(self) -> None:
         config, source = self.config.camera.replace(**self._size), self.config.source
@@ -99,6 +104,8 @@ class CameraNode(ThreadNode[CameraNodeConfig]):
             report.errors.append(f"{status.state}: {status.reason}")
         report.values |= {"camera": status.state, "reason": status.reason, "device": status.device}
         report.values |= {"opened": str(status.opened), "failures": str(status.failures)}
+        if self._colours is not None:
+            report.values["without_color"] = str(status.colourless)
 
     # The thread.
 
@@ -122,6 +129,8 @@ class CameraNode(ThreadNode[CameraNodeConfig]):
     def _publish(self, frame: DepthFrame) -> None:
         image, info = depth_to_msgs(frame)
         self._info.publish(info)  # first, so that no image waits for it
+        if self._colours is not None and frame.rgb is not None and self._colours.get_subscription_count():
+            self._colours.publish(colours_to_msg(image.header, frame.rgb))
         self._image.publish(image)
         if self._points.get_subscription_count():
             try:
