@@ -272,7 +272,7 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     nodes: dict[str, dict[str, Any]] = {
         **{name: {"tactile.sensor": sensor} for name in ("perception", "bridge") if sensor},
         "hand": shown,
-        "camera": {"source": "scene", "camera.fps": fps, **_PATIENCE, **shown},
+        "camera": {"source": "scene", "camera.fps": fps, "camera.color": bool(arguments.picture), **_PATIENCE, **shown},
     }
     if scene.hand:  # whose thumb is at g1 in simulation
         nodes.setdefault("perception", {}).update({"hand.name": scene.hand, "hand.thumb_at": "g1"})
