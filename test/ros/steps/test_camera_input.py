@@ -10,7 +10,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.conversions import header_to_msg
-from foretouch.ros.nodes import node_class
+from foretouch.ros.nodes import NODES
 from foretouch.types import Cloud
 from foretouch_msgs.msg import Status, TouchPredictionArray
 
@@ -54,7 +54,7 @@ class Camera:
     def __init__(self, graph, model, kind=Image, topic="depth/image", reliable=True, remap=()):
         self.graph = graph
         options = {"cli_args": ["--ros-args", *remap]} if remap else {}
-        self.node = node_class("perception")(parameter_overrides=graph.parameters(model=model), **options)
+        self.node = NODES.load("perception")(parameter_overrides=graph.parameters(model=model), **options)
         graph.serve(self.node)
         self.node.autostart()
         self.heard = graph.listen(TouchPredictionArray, "touch")
@@ -170,3 +170,11 @@ def test_each_fault_of_an_image_or_an_info_is_one_named_refusal_and_the_next_ima
     summary = camera.node.statistics.summary()
     assert summary.received == summary.used + sum(summary.dropped.values()) == len(camera.heard)
     assert camera.answered() == {"ok": 2, "bad_cloud": 7, "unknown_frame": 1}
+
+
+def test_clouds_that_are_remapped_but_not_received_are_told(graph, model_card, capfd):
+    options = {"cli_args": ["--ros-args", "-r", "points:=/camera/points"]}
+    node = NODES.load("perception")(parameter_overrides=graph.parameters(model=model_card), **options)
+    graph.serve(node)
+    node.autostart()
+    assert "/camera/points is not received: input is depth; set input:=points" in capfd.readouterr().err
