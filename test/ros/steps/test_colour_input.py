@@ -14,7 +14,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch.cloud.messages import decode_objects
 from foretouch.ros.messages.conversions import header_to_msg
-from foretouch.ros.nodes import node_class
+from foretouch.ros.nodes import NODES
 from foretouch.types import ASSUMED_TABLE
 from foretouch_lab.simulation.depth_scene import random_scene
 from foretouch_msgs.msg import Status, TouchPredictionArray
@@ -51,7 +51,7 @@ class Driver:
         self.graph = graph
         options = {"cli_args": ["--ros-args", *remap]} if remap else {}
         overrides = graph.parameters(model=model, **parameters)
-        self.node = node_class("perception")(parameter_overrides=overrides, **options)
+        self.node = NODES.load("perception")(parameter_overrides=overrides, **options)
         graph.serve(self.node)
         self.node.autostart()
         self.heard = graph.listen(TouchPredictionArray, "touch")
