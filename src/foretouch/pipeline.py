@@ -201,7 +201,7 @@ class Pipeline(Summarised):
             raise CloudError(f"target: {type(target).__name__} {rule}")
         if target.background:
             raise CloudError(f"target: is background ({target.background}); grasps are planned on objects of a scene")
-        plan = plan_grasps(
+        return plan_grasps(
             target.cloud,
             target.plane,
             self.config.grasp,
@@ -215,8 +215,8 @@ class Pipeline(Summarised):
             hand=self.config.hand,
             obstacles=None if target.obstacles is None else target.obstacles.without(target),
             around=DepthAround.of(target) if self.config.grasp.method == "completed" else None,
+            object_id=target.id,
         )
-        return replace(plan, grasps=plan.grasps.replace(object_id=target.id))
 
     def grasp_between(self, target: Object, g1: Float64, g2: Float64) -> Grasp:
         """Make the grasp with given contacts, and the rotation that GeoGrasp computes for them.

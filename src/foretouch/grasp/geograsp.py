@@ -34,6 +34,7 @@ from foretouch.grasp.completed import (
 from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig
 from foretouch.grasp.frame import object_frame, weigh_points
 from foretouch.grasp.hold import APART_M, HeldGrasp, keep_held
+from foretouch.grasp.outline import SeenOutline
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
@@ -77,6 +78,7 @@ class PlanOptions(TypedDict, total=False):
     rng: np.random.Generator | None  # draws `slide_m` from a part of the object's extent (`slide_fraction`) instead
     pixels: Integer | None  # (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it
     image_shape: tuple[int, int] | None  # (H, W) of that image
+    object_id: str  # that the grasps name; by default none
     limits: ObjectLimits  # range and size of objects; others have no grasp
     # Best grasp of this object in the previous cloud of a stream. Method "completed" returns it again, first and in the place
     # of its twin, unless another one is better by more than `hold`, on three clouds in a row.
@@ -124,7 +126,7 @@ def plan_grasps(cloud: Cloud, plane: Plane, config: GeoGraspConfig, **options: U
         plan.reason = str(err)
         plan.status = "unknown_frame" if isinstance(err, FrameError) else "no_grasp"
     plan.ms["total"] = sum(plan.ms.values())
-    plan.grasps = plan.grasps.replace(status=plan.status, reason=plan.reason)
+    plan.grasps = plan.grasps.replace(status=plan.status, reason=plan.reason, object_id=options.get("object_id", ""))
     return plan
 
 
@@ -193,8 +195,7 @@ def _plan_completed(
 ) -> None:
     """Plan by the method of `foretouch.grasp.completed`."""
     counts = plan.counts
-    rng = options.get("rng")
-    held = options.get("held")
+    rng, held = options.get("rng"), options.get("held")
     hand, obstacles = options.get("hand", DEFAULT_HAND), options.get("obstacles")
     with timed(plan.ms, "outliers"):
         downsampled = points.every_kth_pixel(min(config.max_points or COMPLETED_POINTS, COMPLETED_POINTS))
@@ -211,10 +212,11 @@ def _plan_completed(
             kept = xyz[weighted.inlier > 0.0]
             plan.slide_m = _random_slide(kept, plan.centroid, axis, config.slide_fraction, rng)
     with timed(plan.ms, "completion"):
-        completed = CompletedObject(
-            weighted, spacing, plane, hand, obstacles, plan.slide_m * axis, neighbours=config.neighbours
-        )
         around = options.get("around")
+        outline, shift = SeenOutline.of(points, around), plan.slide_m * axis
+        completed = CompletedObject(
+            *(weighted, spacing, plane, hand, obstacles, shift), neighbours=config.neighbours, outline=outline
+        )
         counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
         lines = free = completed.lines()
@@ -255,4 +257,4 @@ def _flagged(grasps: Grasps, hand: HandConfig, around: DepthAround | None) -> Gr
     beside = len(grasps) * [False] if around is None else around.beside(grasps.g1, grasps.g2) > 0.0
     marks = {MAY_NOT_FIT: tight, BESIDE_UNSEEN: beside}
     flags = [tuple(flag for flag, which in marks.items() if which[k]) for k in range(len(grasps))]
-    return grasps.replace(flags=objects(flags))
+    return grasps if flags == grasps.flags.tolist() else grasps.replace(flags=objects(flags))
