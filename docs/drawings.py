@@ -31,8 +31,8 @@ from PIL import Image
 
 from foretouch.grasp.hand import FINGER, THUMB, Hand, load_hand
 from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult
+from foretouch.report.finger_figure import FingerScale
 from foretouch.report.scene_figure import draw_scene
-from foretouch.report.touch_figure import draw_taxels, taxel_colours
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.taxel_view import TaxelView
@@ -238,7 +238,7 @@ class DemoPicture:
             panel.set_axis_off()
         self.text = self.figure.text(0.5, 0.035, "", ha="center", fontsize=14)
         self.view = TaxelView(BIOTAC_SP)
-        self.colours = taxel_colours(
+        self.scale = FingerScale(
             self.view, [self.levels(finger, read) for finger in (0, 1) for read in (0, 1)], tared=True
         )
 
@@ -292,7 +292,7 @@ class DemoPicture:
             panel = self.taxels[finger][read]
             panel.set_axis_on()
             outside = self.run.missed[self.view.columns(finger)] if read else None
-            draw_taxels(panel, self.view, finger, self.levels(finger, read), outside, self.colours)
+            self.scale.draw(panel, finger, self.levels(finger, read), outside=outside)
             panel.set_title(f"{name}: {('predicted', 'read')[read]}", fontsize=11)
 
     def frames(self) -> Iterator[tuple[Image.Image, int]]:

@@ -14,7 +14,7 @@ from PIL import Image
 from foretouch import History, Sample, TouchModel, load_model
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
-from foretouch_lab.simulation.scene import load_scene
+from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.scene_camera import FrameMaker
 from foretouch_lab.simulation.simulate import Simulation
 
@@ -24,45 +24,39 @@ SAMPLES = 10  # of the scene
 COLOURS = 128
 
 
-def grasp_before_and_after(model: TouchModel, samples: list[Sample], frames: FrameMaker) -> list[DrawnGrasp]:
+def grasp_before_and_after(model: TouchModel, samples: list[Sample], frames: FrameMaker) -> DrawnGrasp:
     """Predict the last of some grasps of one object without the touches before it, and with them."""
     *earlier, last = samples
     slot, attempt = (int(last.extra[name]) for name in ("slot", "attempt"))
-    scene = frames.frame(slot, attempt).cloud()
+    scene = frames.frame(slot, attempt).cloud(with_rgb=True)
     target = replace(Pipeline().segment(scene).targets[0], id=last.object)
-    drawn = []
+    predictions = []
     for touched in ([], earlier):
         history = History(model)
         for sample in touched:
             history.tare(sample.tare, stamp_ns=sample.stamp_ns)
             history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=True)
         history.tare(last.tare, stamp_ns=last.stamp_ns)
-        (prediction,) = history.predict(target, [last.grasp], stamp_ns=last.stamp_ns, same_object=bool(touched))
-        known = "unfamiliar" if "unfamiliar" in prediction.flags else "familiar"
-        when = f"after {len(touched)} touches" if touched else "before the first touch"
-        title = f"{last.object} ({known} to the model {model.name}), {when}"
-        drawn.append(
-            DrawnGrasp(prediction=prediction, target=target, scene=scene, rest=last.tare, read=last.touch, title=title)
-        )
-    return drawn
+        predictions += history.predict(target, [last.grasp], stamp_ns=last.stamp_ns, same_object=bool(touched))
+    before, after = predictions
+    known = "unfamiliar" if "unfamiliar" in after.flags else "familiar"
+    title = f"{last.object} ({known} to the model {model.name}), before and after {len(earlier)} touches"
+    return DrawnGrasp(
+        prediction=after, earlier=before, target=target, scene=scene, rest=last.tare, read=last.touch, title=title
+    )
 
 
-def grasps_to_draw(scene_path: str | Path) -> list[DrawnGrasp]:
+def grasps_to_draw(scene: SceneConfig) -> list[DrawnGrasp]:
     """Predict a grasp of each object of a scene before and after the touches, by the model of the simulated hand."""
-    scene, model = load_scene(scene_path), load_model("simulated")
+    model = load_model("simulated")
     frames, samples = FrameMaker(scene), list(Simulation(scene).samples(SAMPLES, workers=1))
     visits = [list(visit) for _, visit in groupby(samples, key=lambda sample: sample.object)]
-    return [
-        row
-        for visit in visits
-        if len(visit) > TOUCHES
-        for row in grasp_before_and_after(model, visit[: TOUCHES + 1], frames)
-    ]
+    return [grasp_before_and_after(model, visit[: TOUCHES + 1], frames) for visit in visits if len(visit) > TOUCHES]
 
 
 def main(scene_path: str = str(ROOT / "config" / "scenes" / "demo.yaml"), picture: str = "touch.png") -> None:
     """Draw the picture."""
-    path = save_touch_picture(picture, grasps_to_draw(scene_path))
+    path = save_touch_picture(picture, grasps_to_draw(load_scene(scene_path)))
     Image.open(path).convert("RGB").quantize(COLOURS).save(path, optimize=True)  # a third of the size
     print(path)
 

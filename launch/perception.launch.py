@@ -31,6 +31,9 @@ MODEL_USERS = ("perception", "touch_predictor")
 ARGUMENTS = [
     DeclareLaunchArgument("camera", default_value="true", description="false where realsense2_camera publishes"),
     DeclareLaunchArgument("depth", default_value="depth/image_rect_raw", description="Topic of the depth images"),
+    DeclareLaunchArgument(
+        "color", default_value="", description="Topic of the colours of their pixels, aligned with them"
+    ),
     DeclareLaunchArgument("points", default_value="", description="Topic of its clouds, to use them instead"),
     DeclareLaunchArgument(
         "one_process", default_value="true", description="false: a process for each step, to replace one of them"
@@ -54,11 +57,10 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def perception(context: LaunchContext) -> list[Node]:
-    given = argument_values(context, "depth", "points", "model", "predictor", "input")
+    given = argument_values(context, "depth", "color", "points", "model", "predictor", "input")
     kind = given["input"] or ("points" if given["points"] else "depth")
-    remapped = [
-        (name, given[topic]) for name, topic in (("depth/image", "depth"), ("points", "points")) if given[topic]
-    ]
+    topics = {"depth/image": "depth", "color/image": "color", "points": "points"}
+    remapped = [(name, given[topic]) for name, topic in topics.items() if given[topic]]
     return [
         foretouch_node(
             context,

@@ -36,7 +36,7 @@ def perception(context: LaunchContext) -> list[Any]:
 
     source = open_source(LaunchConfiguration("path").perform(context))
     if source.info_topic:
-        return [include_perception(input="depth", depth=source.topic)]
+        return [include_perception(input="depth", depth=source.topic, color=source.color_topic)]
     return [include_perception(input="objects" if cloud_is_object(source) else "points")]
 
 

@@ -51,7 +51,9 @@ def save_calibrated_network(folder: Path, calibration: Calibration | None = None
     return save_small_network(folder, "calibrated", REST, (calibration or make_calibration(), FACTS))
 
 
-def save_small_network(folder: Path, name: str, mean: np.ndarray, calibration: Any = None) -> str:
+def save_small_network(
+    folder: Path, name: str, mean: np.ndarray, calibration: Any = None, channels: str = "xyz"
+) -> str:
     """A network with random weights whose predictions are around a mean; path of its card."""
     import torch
 
@@ -59,7 +61,8 @@ def save_small_network(folder: Path, name: str, mean: np.ndarray, calibration: A
     from foretouch_lab.learning.network.networks import TouchNet, save_network
 
     torch.manual_seed(0)
-    config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))
+    widths = {"trunk_widths": (8, 16, 32), "tnet_widths": (8, 8, 16, 8, 8), "head_widths": (16, 8)}
+    config = ModelConfig(n_points=64, channels=channels, **widths)
     net = TouchNet(config)
     net.set_scaling(torch.from_numpy(mean).float(), torch.linspace(20, 300, config.output_size))
     return str(save_network(folder, name, net.eval(), {}, calibration))

@@ -21,7 +21,7 @@ from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.errors import ForetouchError
 from foretouch.grasp.pose import hand_rotation
 from foretouch.tactile import biotac_touch
-from foretouch.types import APPROACH, DISCARDED, HOLD, REST, Cloud, Grasp, Sample, Touch, TouchSeries
+from foretouch.types import APPROACH, DISCARDED, HOLD, REST, Cloud, Grasp, Plane, Sample, Touch, TouchSeries
 
 IDENTITY = Identity(
     hand={"name": "shadow-rh", "serial": "1234", "thumb": "TH", "middle": "MF"},
@@ -63,6 +63,7 @@ def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: b
         tare=touch(rng) if labelled else None,
         stamp_ns=1_700_000_001_000_000_000 * 1 + 7_000_000_000 * number,
         extra={"TDC_MF": 2000.0, "TDC_TH": 2100.5},
+        table=Plane.from_coefficients([0.1, 0.2 + 0.01 * number, -1.0, 1.1]),
     )
     plain = replace(sample, candidates=(replace(sample.grasp, id=f"other-{number}", score=float("nan")),))
     if not labelled:
@@ -160,6 +161,8 @@ def assert_same_sample(a: Sample, b: Sample) -> None:
         assert (one is None) == (other is None)
         if one is not None:
             np.testing.assert_array_equal(one.values, other.values)
+    planes = [None if one.table is None else one.table.coefficients.tolist() for one in (a, b)]
+    assert planes[0] == planes[1]
 
 
 def fail_writes(monkeypatch: pytest.MonkeyPatch, number: int, code: int, part: int | None = None) -> None:

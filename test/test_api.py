@@ -251,15 +251,21 @@ def test_the_drawing_has_what_is_given(scene, tmp_path):
     touch = ft.load_model().predict(scene.objects[0], grasps)
     whole = ft.draw(scene, grasps, touch, path=tmp_path / "a.png", number=1)
     assert (tmp_path / "a.png").stat().st_size > 10_000
-    image, above, side, taxels = whole.axes
+    image, above, side, *fingers, scale = whole.axes
     assert {text.get_text() for text in image.texts} == {"1", "2", "3", "4"}
     corners = image.patches[0].get_xy()  # of the table, in pixels: all around the objects
     rows, columns = np.nonzero(scene.labels)
     assert (corners.min(axis=0) < (columns.min(), rows.min())).all()
     assert (corners.max(axis=0) > (columns.max(), rows.max())).all()
     assert {"g1", "g2"} <= {text.get_text() for text in (*above.texts, *side.texts)}
-    bars = taxels.containers[0]
-    np.testing.assert_allclose(bars.lines[0].get_ydata(), touch["E"].value[1, 0])
+    for axes, electrodes in zip(fingers, touch["E"].value[1], strict=True):
+        np.testing.assert_allclose(axes.collections[-1].get_array(), electrodes)
+    assert "90 % interval" in scale.get_xlabel()
+    fallen = ft.draw(scene, grasps, touch, rest=ft.load_model().rest).axes[3].collections[-1].get_array()
+    np.testing.assert_allclose(fallen, ft.load_model().rest["E"][0] - touch["E"].value[0, 0])
+    assert [len(ft.draw(scene, grasps, touch, panels=one).axes) for one in (["image"], ["touch"], ["above", "side"])] == [1, 3, 2]  # fmt: skip
+    with pytest.raises(ConfigError, match="panels: 'bars' is not one of image, touch, above, side"):
+        ft.draw(scene, panels=["bars"])
     assert len(ft.draw(scene).axes) == 1
     assert len(ft.draw(scene.objects[0], grasps).axes) == 2
     table = scene.objects[0].plane

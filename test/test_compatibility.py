@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of version 0.2 are read with the same numbers, its recordings and other format versions are refused by name.
+"""Files of versions 0.2 and 0.4 are read with the same numbers; recordings of 0.2 and other format versions are refused by name.
 
 Code of that version wrote `data/from_0_2_0`, and printed what stands in its `expected.json`. They are not renewed: files
-that newer code wrote prove nothing about older ones.
+that newer code wrote prove nothing about older ones. Code of 0.4.0 wrote `data/from_0_4_0`: in each folder the labelled
+`record(n, points=5)` and the unlabelled `record(10 + n, points=4)` of `recording_builders`, by a camera whose name has n letters.
 """
 
 import hashlib
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from every_case import every_case
-from recording_builders import write_grasps
+from recording_builders import assert_same_sample, record, write_grasps
 
 from foretouch.cli.main import main
 from foretouch.dataset.editing import relabel
@@ -30,6 +32,7 @@ from foretouch.errors import FileError
 from foretouch_lab.dataset.store_writer import build_store
 from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits, read_splits
 
+FROM_0_4 = Path(__file__).parent / "data" / "from_0_4_0"
 CHANGING = {"ms", "seconds", "version", "out", "path", "original"}
 """Keys whose values differ from run to run, or name folders."""
 
@@ -88,6 +91,24 @@ def test_every_command_refuses_a_recording_of_version_0_2_and_names_what_convert
         assert rule in capsys.readouterr().err
 
 
+def test_samples_of_version_0_4_are_read_without_a_table_and_counted(tmp_path: Path, printed: Any) -> None:
+    """Padding of its messages differs with the length of the camera's name."""
+    for number in range(1, 5):
+        path = Path(shutil.copytree(FROM_0_4 / "abcd"[:number], tmp_path / str(number)))
+        labelled, unlabelled = RecordedDataset(path)
+        assert_same_sample(labelled, replace(record(number, points=5), table=None))
+        assert_same_sample(unlabelled, replace(record(10 + number, points=4, labelled=False), table=None))
+        assert RecordedDataset(path).identity.camera == {"name": "abcd"[:number]}
+        (facts,) = printed("dataset", "info", path)
+        assert (facts["samples"], facts["tables"]) == (2, 0)
+        assert verify_dataset(path)[0].clean
+        with pytest.raises(FileError, match="schema_version: 2 there, 3 here"):
+            RecordingWriter(path, RecordedDataset(path).identity)
+        (imported,) = printed("dataset", "import", path, "-o", tmp_path / f"new-{number}")
+        assert (imported["samples"], imported["tables"]) == (2, 0)
+        assert_same_sample(next(iter(RecordedDataset(tmp_path / f"new-{number}"))), labelled)
+
+
 def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
     if isinstance(old, dict) and isinstance(new, dict):
         for key, value in old.items():
@@ -111,7 +132,7 @@ def test_other_format_versions_are_refused_by_name(tmp_path: Path) -> None:
         content["schema_version"] = version
         path.write_text(sealed(content, SEAL) if path.parent == store else json.dumps(content) + "\n")
         for reader in readers:
-            with pytest.raises(FileError, match=rf"{path.name}: .*schema_version: .* is not [12]"):
+            with pytest.raises(FileError, match=rf"{path.name}: .*schema_version: .* is not [123]"):
                 reader()
         path.write_text(kept)
 
@@ -123,4 +144,4 @@ def test_other_format_versions_are_refused_by_name(tmp_path: Path) -> None:
         (store / "manifest.json", lambda: Store(store), lambda: open_samples(store)),
         (store / "splits.json", lambda: read_splits(store)),
     ]
-    every_case([(path, v, *readers) for v in (0, 3, "1", None) for path, *readers in files_and_readers], check)
+    every_case([(path, v, *readers) for v in (0, 9, "1", None) for path, *readers in files_and_readers], check)

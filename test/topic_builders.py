@@ -53,6 +53,13 @@ def biotac_all(at_ns: int, level: int, electrodes: int = 24) -> tuple[str, Any]:
     return "foretouch_msgs/msg/BiotacAll", SimpleNamespace(header=_header(at_ns), tactiles=tactiles)
 
 
+def _table(at_ns: int, coefficients: tuple[float, ...]) -> SimpleNamespace:
+    empty = {name: np.empty(0, np.float32) for name in ("obstacles", "outline")}
+    plane = SimpleNamespace(coef=np.array(coefficients))
+    ids = np.empty(0, np.uint32)
+    return SimpleNamespace(header=_header(at_ns), plane=plane, **empty, obstacle_ids=ids, status=0, reason="")
+
+
 TURNED = np.diag([-1.0, -1.0, 1.0])
 """The matrix of `POSE`."""
 
@@ -68,6 +75,7 @@ class Faults:
     executed: str = "a"  # the grasp
     second_cloud: bool = False  # another one with the stamp of the first
     electrodes: int = 24
+    table: tuple[float, ...] = ()  # a, b, c, d under the first cloud; () sends no message
 
 
 def write_topics(
@@ -110,6 +118,8 @@ def write_topics(
             grasps = [_grasp(name, faults.matrix) for name in names]
             planned = SimpleNamespace(header=_header(at), grasps=grasps, status=0, reason="")
             write("/foretouch/grasps", "GraspArray", at + 2, planned)
+            if faults.table:
+                write("/foretouch/table", "TablePlane", at + 3, _table(at, faults.table if k == 0 else (0.0,) * 4))
         if faults.second_cloud:
             write_cloud(np.full((4, 3), 7), start)
         contact, release = start + 3 * NS, start + 4 * NS

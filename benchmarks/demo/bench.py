@@ -10,13 +10,10 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.common import ROOT, print_rows, scene, write_csv
+from examples.draw_touch import grasps_to_draw
 from foretouch.models import TouchModel, load_model
-from foretouch.pipeline import Pipeline
-from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
-from foretouch.tactile import biotac_touch
-from foretouch.types import Prediction
+from foretouch.report.touch_figure import save_touch_picture
 from foretouch_lab.learning.prequential import ModelReplay, replay_model
-from foretouch_lab.simulation.scene_camera import FrameMaker
 from foretouch_lab.simulation.simulate import Simulation
 
 HERE = Path(__file__).parent
@@ -67,26 +64,7 @@ def draw(runs: Sequence[ModelReplay], path: Path) -> None:
     """Draw the run whose share over the four grasps is the median of all runs; of two, the lower."""
     total = [np.mean([inside(run, name, touches)[1] for name in OBJECTS for touches in DRAWN]) for run in runs]
     seed = int(np.argsort(total, kind="stable")[(len(runs) - 1) // 2])
-    run = runs[seed]
-    maker = FrameMaker(scene("demo").replace(seed=seed))
-    pipeline = Pipeline()
-    drawn = []
-    for name, known in OBJECTS.items():
-        for touches in DRAWN:
-            k, _ = inside(run, name, touches)
-            sample = run.samples[k]
-            value = run.played.counts[k]
-            half = run.played.half[k]
-            value, lower, upper = (biotac_touch(counts) for counts in (value, value - half, value + half))
-            cloud = maker.frame(int(sample.extra["slot"]), int(sample.extra["attempt"])).cloud()
-            (target,) = pipeline.segment(cloud).targets
-            knows = "knows" if known else "does not know (unfamiliar)"
-            based = f"after {touches} touches" if touches else "before the first touch"
-            drawn.append(DrawnGrasp(
-                target=target, prediction=Prediction.of(sample.grasp, value, lower, upper), scene=cloud,
-                rest=sample.tare, read=sample.touch, title=f"{name}, which the model simulated {knows}, {based}",
-            ))  # fmt: skip
-    save_touch_picture(path, drawn)
+    save_touch_picture(path, grasps_to_draw(scene("demo").replace(seed=seed)))
     with Image.open(path) as image:
         image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
     print(f"{path}: seed {seed}, {total[seed]:.3f} inside")

@@ -298,6 +298,7 @@ _INTERNAL = re.compile(r"/(rosout|parameter_events)$|/_action/|/(change_state|ge
 _PURPOSES = {  # of topics and services whose types have no comment of their own, or are not ours
     "points": "the point cloud of the camera, while somebody subscribes; `perception` and `segmentation` receive it with `input: points`",
     "depth/image": "depth images of the camera; remap it, or give `depth:=TOPIC` to the launch files",
+    "color/image": "colours of their pixels, aligned with them; remap it, or give `color:=TOPIC` to the launch files",
     "depth/camera_info": "the camera of the depth images, beside them",
     "object_cloud": "the points of the target",
     "grasp_poses": "the poses of the tool, best grasp first",

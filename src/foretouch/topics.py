@@ -8,6 +8,7 @@ NAMESPACE: Final = "/foretouch"
 
 TACTILE_TOPIC: Final = "/rh/tactile"
 CLOUD_TOPIC: Final = "object_cloud"
+TABLE_TOPIC: Final = "table"
 GRASPS_TOPIC: Final = "grasps"
 EXECUTED_TOPIC: Final = "executed_grasp"
 

@@ -92,9 +92,18 @@ def test_bad_masks_and_clicks_are_refused_in_one_line(call, scene, tmp_path):
 
 
 def test_pictures_are_drawn_by_all_three(call, tmp_path):
-    for command, panels in (("segment", 1), ("grasp", 3), ("predict", 4)):
+    heights = []
+    for command in ("segment", "grasp", "predict"):
         path = tmp_path / f"{command}.png"
         answer = call(command, TABLE, "--picture", path, "--json", *(["--target", "nearest"] * (command == "predict")))
         assert (answer.status, len(answer.records)) == (0, 1)
         with Image.open(path) as image:
-            assert image.size[0] / image.size[1] > 0.6 * panels / 1.2
+            assert image.size[0] == 924  # of a page
+            heights.append(image.size[1])
+    assert heights[0] < heights[1]  # a row more
+    some = tmp_path / "some.png"
+    assert call("predict", TABLE, "--target", "nearest", "--picture", some, "--panels", "touch").status == 0
+    with Image.open(some) as image:
+        assert image.size[1] < heights[2] / 2
+    call("grasp", TABLE, "--picture", some, "--panels", "image,bars").check_refused("panels: 'bars' is not one of")
+    call("grasp", TABLE, "--panels", "image").check_refused("--panels: is for --picture")

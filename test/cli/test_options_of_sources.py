@@ -32,9 +32,9 @@ OTHERS = {
     "--hand": "franka_hand", "--pixel": "{pixel}", "--point": "{point}",
 }  # fmt: skip
 BY_ALL = {"inputs", "--config", "--set", "--json", "--picture", "--labels-out", "--all", "--model", "--tare", "--touched", "--history", "--grasp", "--prequential"} | {
-    "--tip-mm", "--count", "--slide-m", "--vary",
+    "--tip-mm", "--count", "--slide-m", "--vary", "--color", "--panels",
 }  # fmt: skip
-"""Options that do not depend on the kind of source; other tests have what they change."""
+"""Options that do not depend on the kind of source, and --color, which changes no answer; other tests have what they change."""
 
 ALREADY = {("--scene", source) for source in ("depth.png", "folder", "depth.npz", "scene.npz", "recording", "clouds")} | {
     ("--rectified", source) for source in ("depth.npz",)

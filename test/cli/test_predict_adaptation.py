@@ -13,10 +13,12 @@ from calibrated_models import REST, make_tracked_calibration, save_calibrated_co
 from command_answer import run_python
 from every_case import every_case
 from recording_builders import IDENTITY, QUICK, record, write_dataset
+from sim_builders import CAN, made, scene
 
 from foretouch.cli.adaptation import _read_tare
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.writing import write
 from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.history_keeper import HistoryFile
@@ -24,6 +26,7 @@ from foretouch.models.touch_model import History, TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Prediction, Sample
+from foretouch.types.scene import Object
 from foretouch_lab.learning.prequential import replay_model
 
 
@@ -135,6 +138,30 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -
         assert_reported(results[sample.id]["predictions"][0], wanted)
         assert (wanted.reference, results[sample.id]["touched"]) == ("touches", 4)
     assert "4 touches" in call("predict", session, "--model", model, "--touched", session).out
+
+
+def test_a_sample_is_predicted_and_compared_on_the_table_that_it_holds(call, tmp_path) -> None:
+    tilted = made(scene(CAN, camera={"tilt_deg": 40.0}), 4)
+    samples = [replace(sample, id="", stamp_ns=(1 + k) * 10**9) for k, sample in enumerate(tilted)]
+    core, answers = load_model("contact-v3"), []
+    for name, tables in (("known", [sample.table for sample in samples]), ("unknown", [None] * 4)):
+        stored = [replace(sample, table=table) for sample, table in zip(samples, tables, strict=True)]
+        write(tmp_path / name, stored)
+        answer = call("predict", tmp_path / name, "--touched", tmp_path / name, "--json")
+        answers.append([one["predictions"][0] for one in answer.records])
+    assert all("assumed_table" not in one["flags"] for one in answers[0])
+    assert all("assumed_table" in one["flags"] for one in answers[1])
+    for k, sample in enumerate(samples):
+        hand = History(core)
+        for number, other in enumerate(samples[:k] + samples[k + 1 :]):
+            if other.tare is not None:
+                hand.tare(other.tare, stamp_ns=other.stamp_ns)
+            seen = Object.of("1", other.cloud, other.table)
+            hand.touched(seen, other.grasp, other.touch, stamp_ns=other.stamp_ns, same_object=number > 0)
+        read = hand.snapshot(4 * 10**9, same_object=True)
+        (wanted,) = core.predict(Object.of("1", sample.cloud, sample.table), [sample.grasp], history=read)
+        assert_reported(answers[0][k], wanted)
+        assert flat(answers[1][k], "value") != flat(answers[0][k], "value")
 
 
 def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path) -> None:

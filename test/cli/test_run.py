@@ -41,14 +41,17 @@ rclpy.init()
 node = rclpy.create_node("camera_of_others")
 images = node.create_publisher(Image, "/cam/depth/image_rect_raw", 5)
 infos = node.create_publisher(CameraInfo, "/cam/depth/camera_info", 5)
+colours = node.create_publisher(Image, "/cam/color/image_raw", 5)
 image = Image(**size, encoding="16UC1", step=2 * width, data=seen["depth"].tobytes())
+colour = Image(**size, encoding="rgb8", step=3 * width, data=bytes(3 * height * width))
 info = CameraInfo(**size, k=K.ravel(), p=np.c_[K, np.zeros(3)].ravel(), distortion_model="plumb_bob", d=[0.0] * 5)
 def send():
     image.header.frame_id = "camera_depth_optical_frame"
     image.header.stamp = node.get_clock().now().to_msg()
-    info.header = image.header
+    info.header = colour.header = image.header
     infos.publish(info)
     images.publish(image)
+    colours.publish(colour)
 node.create_timer(0.2, send)
 rclpy.spin(node)
 """
@@ -84,7 +87,8 @@ def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path, environment)
 def test_a_topic_of_depth_images_is_answered_until_the_count(environment) -> None:
     with subprocess.Popen([sys.executable, "-c", CAMERA], env=environment) as camera:
         try:
-            status, (*answers, last), err = run(environment, "--source", "/cam/depth/image_rect_raw", "--count", 3)
+            words = ("--source", "/cam/depth/image_rect_raw", "--color", "/cam/color/image_raw", "--count", 3)
+            status, (*answers, last), err = run(environment, *words)
         finally:
             camera.kill()
     assert (status, len(answers)) == (0, 3), err
@@ -119,6 +123,14 @@ def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
         (("run", "--source", "camera", "--wait-for", "touch"), f"--wait-for: {played} camera is another source\n"),
         (("run", "--source", "s.yaml", "--wait-limit", "1"), f"--wait-limit: {played} s.yaml is another source\n"),
         (("run", "--source", "s.yaml", "--depth-scale", "1"), f"--depth-scale: {played} s.yaml is"),
+        (
+            ("run", "--source", "camera", "--color", "/a"),
+            "--color: is for recordings and files, and depth images on a topic, and",
+        ),
+        (
+            ("run", "--source", image, "--color", "a.png"),
+            f"{image}: holds points: leave out --color, which is for depth",
+        ),
         (("run", "--source", "/a/b", "--plane", "0,0,1,-1"), f"--plane: {played} /a/b is"),
         *(
             (("run", "--source", source, option, value), f"{option}: {played} {source} is")

@@ -19,7 +19,7 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane
 
 from foretouch import reading
-from foretouch.cloud.messages import decode_cloud
+from foretouch.cloud.messages import decode_cloud, decode_objects
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ForetouchError
@@ -213,7 +213,7 @@ class _Hand:
         elif isinstance(message, PointCloud2):
             self.adapter.add_grasps(Targets(message.header, (), lambda: message), grasps_message().grasps)
             data = bytes(serialize_message(message))  # as the recorder receives it
-            cloud = SerializedCloud(data, lambda: deserialize_message(data, PointCloud2))
+            cloud = SerializedCloud(data, lambda: decode_objects(deserialize_message(data, PointCloud2)))
             self.assembler.add("cloud", cloud, received_ns=0, now_s=now_s)
         elif isinstance(message, LabelGrasp.Request):
             self.assembler.matcher.add_label(_decode_label(message), now_s)

@@ -52,6 +52,16 @@ def test_named_topics_become_samples_by_id_and_header_stamps_also_of_a_replay(tm
         np.testing.assert_array_equal(sample.grasp.rotation, TURNED)
 
 
+def test_a_sample_holds_the_table_of_the_message_about_its_cloud(tmp_path: Path) -> None:
+    table = (0.0, -0.6, -0.8, 1.1)
+    result, (touched, other) = imported(tmp_path, Faults(table=table))
+    assert touched.table.coefficients.tolist() == list(table)
+    assert other.table is None  # four zeros say that none was found
+    assert result.tables == 1
+    named = import_samples(tmp_path / "bag", tmp_path / "other", topics=BagTopics(table="/nowhere"))
+    assert (named.samples, named.tables) == (2, 0)
+
+
 def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -> None:
     def check(reason: str, faults: Faults) -> None:
         (tmp_path / reason).mkdir()
@@ -104,9 +114,11 @@ def test_depth_images_are_segmented_and_the_object_of_a_grasp_is_the_nearest(tmp
     topics = BagTopics(**({"clouds": topic} if named else {}))
     result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=topics)
     assert (result.samples, result.labelled, sum(result.left_out.values())) == (2, 1, 0)
-    objects = segment(Cloud.from_depth(image.depth_mm, image.K)).objects
+    scene = segment(Cloud.from_depth(image.depth_mm, image.K))
+    objects = scene.objects
     assert len(objects) == 3
     middle = np.array([0.0, 0.0, 1.0])  # of the contacts
     nearest = min(objects, key=lambda one: float(np.linalg.norm(one.cloud.xyz - middle, axis=1).min()))
     for sample in open_samples(tmp_path / "ds").with_discarded():
         np.testing.assert_array_equal(sample.cloud.xyz, nearest.cloud.xyz)
+        np.testing.assert_array_equal(sample.table.coefficients, scene.table.coefficients)

@@ -68,7 +68,7 @@ def test_a_row_has_the_changes_from_rest_and_the_pads_with_dead_ones_hollow(monk
         assert over_time.get_title(loc="left").endswith(": failure" if number else ": success")
         hollow = [part for part in thumb.collections if not len(part.get_facecolors())]
         assert [part.get_offsets().shape for part in hollow] == [(1, 2)]
-        np.testing.assert_array_equal(hollow[0].get_offsets()[0], BIOTAC_SP.layout.unrolled[5])
+        np.testing.assert_array_equal(hollow[0].get_offsets()[0], 1e3 * BIOTAC_SP.layout.unrolled[5])
         assert not [part for part in middle.collections if not len(part.get_facecolors())]
         strongest = over_time.lines[0].get_xdata()[0]
         assert strongest >= 0.0  # seconds from contact

@@ -10,10 +10,10 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from foretouch import reading
+from foretouch.cloud.messages import decode_plane
 from foretouch.grasp.messages import decode_grasp
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.ros.messages.conversions import plane_from_msg
 from foretouch.types import Cloud, stamp_ns
 from foretouch_msgs.msg import GraspArray, ObjectArray, Status, TablePlane, TouchPredictionArray
 
@@ -64,7 +64,7 @@ def test_nodes_and_command_line_give_the_same_bits_in_the_frame_and_stamp_of_the
         (felt,) = pipeline.run(cloud).targets
         blocked += felt.plan.counts["n_blocked"]
         table, obstacles = found["table"], pipeline.segment(cloud).obstacles
-        np.testing.assert_array_equal(plane_from_msg(table.plane).coefficients, felt.target.plane.coefficients)
+        np.testing.assert_array_equal(decode_plane(table.plane).coefficients, felt.target.plane.coefficients)
         np.testing.assert_array_equal(np.reshape(table.obstacles, (-1, 3)).astype(np.float32), obstacles.xyz)
         assert {str(one) for one in table.obstacle_ids} == {object_.id for object_ in found["objects"].objects}
         (chosen,) = [object_ for object_ in found["objects"].objects if object_.target]

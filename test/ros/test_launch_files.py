@@ -25,6 +25,7 @@ NODES = {  # values of the arguments, then executables with what is peculiar to 
         {
             "points": "/camera/points",
             "depth": "d",
+            "color": "c",
             "model": "m.json",
             "predictor": "mine:Mine",
             "one_process": "true",
@@ -32,7 +33,7 @@ NODES = {  # values of the arguments, then executables with what is peculiar to 
         },
         {
             "perception": {
-                "remappings": [("depth/image", "d"), ("points", "/camera/points")],
+                "remappings": [("depth/image", "d"), ("color/image", "c"), ("points", "/camera/points")],
                 "ros_arguments": [*MODEL, "-p", "input:=points"],
             }
         },
@@ -91,7 +92,7 @@ def test_each_node_gets_namespace_parameter_file_and_arguments(library):
             wanted["parameters"] = ["d415.yaml", *own.get("parameters", [])]
             assert {key: value for key, value in options.items() if value != []} == wanted
     module, _, context = describe(
-        "perception", points="", depth="/depth/image_raw", model="m.json", one_process="false", input=""
+        "perception", points="", depth="/depth/image_raw", color="", model="m.json", one_process="false", input=""
     )
     nodes = {node.node_executable: node for node in module.perception(context)}
     assert list(nodes) == ["foretouch_segmentation", "foretouch_grasp", "foretouch_touch_predictor"]

@@ -94,7 +94,9 @@ class Adaptation:
             if sample.tare is not None:
                 hand.tare(sample.tare, stamp_ns=stamp_ns, tdc=tdc_of(sample.extra, sample.tare.channels, "tare_"))
             if id(sample) not in self._estimates:
-                self._estimates[id(sample)] = self.model.estimate_executed(sample.cloud, [sample.grasp])
+                self._estimates[id(sample)] = self.model.estimate_executed(
+                    sample.cloud, [sample.grasp], table=sample.table
+                )
             estimate = self._estimates[id(sample)]
             hand.touched(
                 sample.cloud,

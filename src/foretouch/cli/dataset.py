@@ -26,7 +26,8 @@ from foretouch.laboratory import needs_laboratory
 from foretouch.tactile.messages.table import TactileConfig
 
 _SHEET_SAMPLES = 12
-_KINDS = ("clouds", "grasps", "executed", "tactile")  # of topics in a bag
+_ASSUMED = "; of the others the camera is taken to look straight down on it"
+_KINDS = ("clouds", "table", "grasps", "executed", "tactile")  # of topics in a bag
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -111,7 +112,7 @@ def _add_import(parser: CommandParser) -> None:
         default=[],
         type=_topic,
         metavar="KIND=NAME",
-        help="a topic of another name than the recorder's, such as tactile=/taxels; of the kinds clouds (of the object), grasps, executed, tactile",
+        help="a topic of another name than the recorder's, such as tactile=/taxels; of the kinds clouds (of the object), table, grasps, executed, tactile",
     )
     add_options(parser, "--sensor", "--thumb", "--middle", group=group)
     parser.add_argument(
@@ -150,6 +151,7 @@ def _info(arguments: argparse.Namespace) -> int:
         **{name: facts[name] for name in ("objects", "outcomes", "flags")},
         "time": period,
         "points a cloud": f"{least} to {most} (median {median})" if facts["samples"] else "",
+        "table": f"known of {facts['tables']} of {facts['samples']}{_ASSUMED if facts['tables'] < facts['samples'] else ''}",
         "sensor": facts["sensor"],
         "dead taxels": facts["dead"],
         **{name: f"{low:g} to {high:g} {facts['units'][name]}" for name, (low, high) in facts["ranges"].items()},

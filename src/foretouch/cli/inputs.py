@@ -18,7 +18,7 @@ from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import CloudError, ConfigError, ForetouchError, shown
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.types import Cloud, Grasps, Plane, Predictions, assumed_table
+from foretouch.types import Cloud, Plane, Sample, assumed_table
 from foretouch.types.scene import Object, Scene
 
 Record = dict[str, Any]
@@ -116,6 +116,11 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "M",
         "help": "metres per unit of the depth images (default: what the file or recording states, else 0.001 for 16 bits, 1 for floats)",
     },
+    "--color": {
+        "metavar": "FILE|TOPIC",
+        "help": "colours of the pixels: of a single depth image a .png or .jpg of its size, aligned with it; of a recording a topic. They are drawn, and models "
+        "of `xyz+rgb` use them (default: what the file, folder or recording states)",
+    },
     "--mask": {
         "metavar": "FILE",
         "help": "labels of the objects in the image of a single input (.png with a label a pixel, .npy, or .npz with `mask`, `label` or `segmap`): they become the "
@@ -133,7 +138,12 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--picture": {
         "metavar": "FILE",
-        "help": "draw the result of a single input: the image with its objects, the best grasp from two sides, and its touch (.png, .pdf, .svg or .jpg)",
+        "help": "draw the result of a single input: the image with its objects, its touch on both fingers, and the best grasp from two sides (.png, .pdf, .svg or .jpg)",
+    },
+    "--panels": {
+        "metavar": "NAMES",
+        "type": lambda text: tuple(text.split(",")),
+        "help": "which panels --picture has, by commas: image, touch, above, side (default: all that there is something to show in)",
     },
     "--tare": {
         "metavar": "F|sample",
@@ -176,8 +186,8 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments that several commands share, by name."""
 
-CAMERA: Final = ("--intrinsics", "--camera-info", "--info-topic", "--rectified", "--depth-scale")
-READ: Final = ("inputs", "--topic", "--config", "--set", *CAMERA, "--mask", "--picture")
+CAMERA: Final = ("--intrinsics", "--camera-info", "--info-topic", "--rectified", "--depth-scale", "--color")
+READ: Final = ("inputs", "--topic", "--config", "--set", *CAMERA, "--mask", "--picture", "--panels")
 PLANNED: Final = ("--plane", "--scene", "--target", "--hand")
 CHOSEN: Final = ("--pixel", "--point")
 ADAPTED: Final = ("--tare", "--touched", "--history")
@@ -236,6 +246,7 @@ def depth_camera(arguments: argparse.Namespace) -> DepthCamera:
         scale=arguments.depth_scale,
         rectified=None if arguments.rectified is None else arguments.rectified == "yes",
         info_topic=arguments.info_topic or "",
+        color=arguments.color or "",
     )
 
 
@@ -245,7 +256,7 @@ def check_single(arguments: argparse.Namespace) -> None:
     Raises:
         ConfigError: Names the option.
     """
-    for name in ("mask", "picture"):
+    for name in ("mask", "color", "picture"):
         if getattr(arguments, name) and len(arguments.inputs) > 1:
             raise ConfigError(f"--{name}: requires one input, not {len(arguments.inputs)}")
     if getattr(arguments, "pixel", None) and getattr(arguments, "point", None):
@@ -253,6 +264,8 @@ def check_single(arguments: argparse.Namespace) -> None:
     for name in ("scene", "mask", "pixel", "point"):
         if getattr(arguments, "plane", None) is not None and getattr(arguments, name):
             raise ConfigError(f"--plane, --{name}: with --plane the cloud is the points of one object; leave one out")
+    if arguments.panels and not arguments.picture:
+        raise ConfigError("--panels: is for --picture")
     if arguments.picture:
         require_writable(arguments.picture, *PICTURE_SUFFIXES)
 
@@ -273,7 +286,7 @@ def target_objects(
     """Find the objects to grasp in one input: the cloud itself, or the targets of its scene.
 
     An organised cloud, or any with --scene, --mask, --pixel or --point, is a scene; otherwise the cloud is one object
-    on --plane or on an assumed table, seen from straight above.
+    on --plane, on the table of its sample, or on an assumed table, seen from straight above.
 
     Returns:
         The objects, at least one; the scene that they are in, or the only object; and by what they were selected: `pixel`,
@@ -285,7 +298,7 @@ def target_objects(
     if holds_one_object(item.cloud, arguments):
         if arguments.target:
             raise ConfigError("--target: is for the objects of a scene, and this cloud is one object; add --scene")
-        target = only_object(item.cloud, arguments)
+        target = only_object(item.cloud, arguments, item.sample)
         return [target], target, ""
     scene = scene_of(item, arguments, pipeline)
     if not scene.objects:
@@ -308,21 +321,21 @@ def holds_one_object(cloud: Cloud, arguments: argparse.Namespace) -> bool:
     return arguments.plane is not None or not (chosen or cloud.organised)
 
 
-def draw_result(
-    arguments: argparse.Namespace, scene: Scene | Object, grasps: Grasps | None = None, touch: Predictions | None = None
-) -> None:
-    """Write --picture, if it is asked for."""
+def draw_result(arguments: argparse.Namespace, scene: Scene | Object, *drawn: Any, **options: Any) -> None:
+    """Write --picture with the panels of --panels, if it is asked for; the other arguments are those of `draw_scene`."""
     if arguments.picture:
-        from foretouch.report.scene_figure import draw_scene
+        from foretouch.report.scene_figure import PANELS, draw_scene
 
-        draw_scene(scene, grasps, touch, path=arguments.picture)
+        draw_scene(scene, *drawn, path=arguments.picture, panels=arguments.panels or PANELS, **options)
         warn(f"wrote {arguments.picture}")
 
 
-def only_object(cloud: Cloud, arguments: argparse.Namespace) -> Object:
-    """Return a cloud as one object, on --plane or on an assumed table."""
-    table = assumed_table(cloud) if arguments.plane is None else Plane.from_coefficients(arguments.plane)
-    return Object.of("1", cloud, table)
+def only_object(cloud: Cloud, arguments: argparse.Namespace, sample: Sample | None = None) -> Object:
+    """Return a cloud as one object, on --plane, on the table of its sample, or on an assumed table."""
+    table = None if sample is None else sample.table
+    if arguments.plane is not None:
+        table = Plane.from_coefficients(arguments.plane)
+    return Object.of("1", cloud, table or assumed_table(cloud))
 
 
 def heading(record: Record, by: str = "") -> str:
@@ -367,6 +380,8 @@ def _results(
                     yield item.name, record
             except ForetouchError as err:
                 yield item.name, err
+        for remark in source.remarks:
+            warn(remark)
         if item is None:
             yield path, CloudError(f"{path}: holds no cloud and no sample")
     except ForetouchError as err:

@@ -10,12 +10,12 @@ from typing import Any, Final
 from foretouch.errors import nearest, none_of
 
 _GROUPS: Final = {
-    "what is read": "topic intrinsics camera_info info_topic rectified depth_scale mask target pixel point plane scene hand grasp data source dwell rate loop restamp resume "
+    "what is read": "topic intrinsics camera_info info_topic rectified depth_scale color mask target pixel point plane scene hand grasp data source dwell rate loop restamp resume "
     "sensor thumb middle check assume_grasps object objects",
     "model and adaptation": "model predictor tare touched history prequential tip_mm slide_m vary",
     "settings": "config set params namespace count seconds samples seed workers preset address explain wait_for "
     "wait_limit no_wait",
-    "what is written": "all json out output picture serve save screenshot labels_out no_sheet redraw",
+    "what is written": "all json out output picture panels serve save screenshot labels_out no_sheet redraw",
 }
 """Names of options by the heading under which help lists them."""
 

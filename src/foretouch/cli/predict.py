@@ -93,7 +93,8 @@ def _answer(
         ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
         refused = predictions.reason[~predictions.ok].tolist()
         if number == 0:
-            inputs.draw_result(arguments, scene, predictions.grasps, predictions)
+            model = pipeline.model
+            inputs.draw_result(arguments, scene, predictions.grasps, predictions, rest=model.rest, sensor=model.sensor)
         yield {
             **({"sample": item.sample.id} if item.sample is not None else {}),
             "object": target.id,

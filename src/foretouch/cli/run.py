@@ -7,6 +7,8 @@ import argparse
 import re
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -22,6 +24,7 @@ from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.laboratory import needs_laboratory
+from foretouch.models import History, TouchModel, load_model
 from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file
 from foretouch.tactile.channels import BIOTAC_SP
@@ -148,7 +151,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Return parameters of each node by name, from the options; the source comes last, after its subscribers."""
     from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
-    from foretouch.models.registry import SIMULATED_HAND_MODEL, load_model
+    from foretouch.models.registry import SIMULATED_HAND_MODEL
     from foretouch.ros.nodes.camera import DEPTH_TOPIC
 
     given = [settings for _, settings in nodes_of_file(arguments.params)] if arguments.params else []
@@ -176,15 +179,17 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         if arguments.plane is not None and perception["input"] != "objects":
             raise ConfigError(f"--plane: is for the points of one object; the table is found in {arguments.source}")
         if source.info_topic:
-            arguments.remapped = ["-r", f"perception:depth/image:={source.topic}"]
+            arguments.remapped = _remapped("depth/image", source.topic, source.color_topic)
         return nodes | {"replay": _replay_parameters(arguments, source)}
     if _is_topic(arguments.source):
         perception["input"] = input_of(arguments.source, _TOPIC_S)
         own = "points" if perception["input"] == "points" else "depth/image"
-        arguments.remapped = ["-r", f"perception:{own}:={arguments.source}"]
+        if arguments.color and (own == "points" or not _is_topic(arguments.color)):
+            raise ConfigError(f"--color: {arguments.color} is no topic beside the depth images of {arguments.source}")
+        arguments.remapped = _remapped(own, arguments.source, arguments.color)
         return nodes
     perception["input"] = "depth"
-    arguments.remapped = ["-r", f"perception:depth/image:={DEPTH_TOPIC}"]
+    arguments.remapped = _remapped("depth/image", DEPTH_TOPIC)
     if scene and not arguments.model and not any("model" in parameters for parameters in given):
         nodes["perception"]["model"] = SIMULATED_HAND_MODEL
     for name, parameters in (_scene_nodes(arguments) if scene else {"camera": {}}).items():
@@ -192,6 +197,12 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if any("hand.name" in parameters for parameters in given):
         perception.pop("hand.name", None)
     return nodes
+
+
+def _remapped(own: str, topic: str, colours: str | None = None) -> list[str]:
+    """Return the remaps by which perception receives a topic as one of its own, and the colours, if there are any."""
+    color = ["-r", f"perception:color/image:={colours}"] if colours else []
+    return ["-r", f"perception:{own}:={topic}", *color]
 
 
 def _require_used(arguments: argparse.Namespace, *, scene: bool, files: bool) -> None:
@@ -203,10 +214,12 @@ def _require_used(arguments: argparse.Namespace, *, scene: bool, files: bool) ->
         files: Whether it is a recording or files.
     """
     played, shown = (files, "recordings and files"), (scene, "scenes (.yaml)")
+    beside = files or _is_topic(arguments.source), f"{played[1]}, and depth images on a topic"
     of_options = {
         "--dwell": shown,
         "--rate": (scene or files, f"{played[1]}, and {shown[1]}"),
         **dict.fromkeys(("--topic", "--plane", *CAMERA, "--wait-for", "--wait-limit"), played),
+        "--color": beside,
     }
     for option, (used, users) in of_options.items():
         given = getattr(arguments, option.removeprefix("--").replace("-", "_"))
@@ -291,12 +304,18 @@ def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any
         "info_topic": arguments.info_topic or None,
         "rectified": arguments.rectified,
         "depth_scale": arguments.depth_scale,
+        "color": _whole_name(arguments.color),
         "rate_hz": arguments.rate,
         "table": arguments.plane,
         "wait_for": arguments.wait_for or None,
         "wait_limit_s": arguments.wait_limit,
     }
     return {name: value for name, value in given.items() if value is not None}
+
+
+def _whole_name(color: str | None) -> str | None:
+    """Return a topic as it is, and the path of a file from the root."""
+    return str(Path(color).resolve()) if color and Path(color).exists() else color or None
 
 
 def replay_fault(replay: ReplayNode | None) -> str:
@@ -372,7 +391,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
             answers += f", {played - answered} dropped or unfinished at the end"
         terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}"))
     if arguments.picture:
-        _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
+        _draw(graph.monitor.last_drawables(), arguments, view.sensor)
     if graph.replay is None and not played:
         _warn_of_no_cloud(graph, arguments)
         return 3
@@ -402,17 +421,21 @@ def _warn_of_no_cloud(graph: Graph, arguments: argparse.Namespace) -> None:
     warn(f"no cloud came from the {source}: {state}{cure}")
 
 
-def _draw(drawables: Sequence[Drawable], path: str, sensor: Sensor) -> None:
+def _draw(drawables: Sequence[Drawable], arguments: argparse.Namespace, sensor: Sensor) -> None:
     from foretouch.report.touch_figure import save_touch_picture
 
+    path = arguments.picture
     if not drawables:
         warn(f"{path}: not drawn, because there was no prediction in the frame of its cloud")
         return
-    save_touch_picture(path, [_drawn(drawable, sensor) for drawable in drawables], sensor)
+    model = None
+    with suppress(ForetouchError):  # which its node has reported
+        model = load_model(arguments.model or drawables[0][2].model, arguments.predictor)
+    save_touch_picture(path, [_drawn(drawable, sensor, model) for drawable in drawables], sensor)
     warn(f"wrote {path}")
 
 
-def _drawn(drawable: Drawable, sensor: Sensor) -> DrawnGrasp:
+def _drawn(drawable: Drawable, sensor: Sensor, model: TouchModel | None) -> DrawnGrasp:
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
@@ -424,8 +447,17 @@ def _drawn(drawable: Drawable, sensor: Sensor) -> DrawnGrasp:
         based = [*first, f"based on {reference_text(message)}", *prediction.flags]
         nothing = "; touched nothing: the readings are those at rest" if at_rest(sample) else ""
         title += f": {', '.join(based)}; model: {message.model}{nothing}"
-    read = {} if sample is None else {"rest": sample.tare, "read": sample.touch}
-    return DrawnGrasp(target=target, prediction=prediction, scene=scene, title=title, **read)
+    drawn = DrawnGrasp(target=target, prediction=prediction, scene=scene, title=title)
+    if sample is None:
+        return drawn
+    drawn = replace(drawn, rest=sample.tare, read=sample.touch)
+    if model is None or not (message.touches and prediction.ok):
+        return drawn
+    history = History(model)  # of a hand that has touched nothing
+    if sample.tare is not None:
+        history.tare(sample.tare, stamp_ns=sample.stamp_ns)
+    (earlier,) = history.predict(target, [prediction.grasp], stamp_ns=sample.stamp_ns)
+    return replace(drawn, earlier=earlier)
 
 
 def at_rest(sample: Sample | None) -> bool:

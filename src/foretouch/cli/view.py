@@ -114,12 +114,14 @@ class _View(NamedTuple):
 def _steps(view: _View, samples: SampleSet | None, refused: list[str]) -> Iterator[ViewStep]:
     """Iterate over a step for each cloud, or sample that was not discarded, with the touch that the model predicts now; names of others are kept."""
     made: Iterator[tuple[str, Callable[[], ViewStep | None]]]
+    remarks: list[str] = []
     if samples is None:
         source = open_source(
             view.arguments.path, topic=view.arguments.topic, camera=inputs.depth_camera(view.arguments)
         )
         for note in source.notes:
             warn(note)
+        remarks = source.remarks
         made = ((item.name, partial(_of_cloud, view, item, stamped=source.kind == "recording")) for item in source)
     else:
         made = ((samples.name(k), partial(_of_sample, view, samples, k)) for k in range(len(samples)))
@@ -132,6 +134,8 @@ def _steps(view: _View, samples: SampleSet | None, refused: list[str]) -> Iterat
         else:
             if step is not None:
                 yield step
+    for remark in remarks:
+        warn(remark)
 
 
 def _of_sample(view: _View, samples: SampleSet, number: int) -> ViewStep | None:
@@ -139,7 +143,7 @@ def _of_sample(view: _View, samples: SampleSet, number: int) -> ViewStep | None:
     sample = samples.read(number)
     if DISCARDED in sample.flags:
         return None
-    target = inputs.only_object(sample.cloud, view.arguments)
+    target = inputs.only_object(sample.cloud, view.arguments, sample)
     shown: dict[str, Any] = {"cloud": sample.cloud, "table": target.plane, "candidates": sample.candidates}
     shown |= {"stamp_ns": sample.stamp_ns, "read": sample.touch, "tare": sample.tare}
     return ViewStep(name=sample.id, **shown, **_predicted(view, target, sample.grasp, sample))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages without ROS: headers and clouds, decoded alike from rclpy and rosbags, and serialised by rosbags.
+"""Messages without ROS: headers, clouds and planes, decoded alike from rclpy and rosbags, and serialised by rosbags.
 
 `object_cloud` holds the points of all target objects, one object after the other, best first. Beside x, y, z (and
 rgb) each point carries `label` (UINT32, id of the object) and, where the cloud was cut from an image, `row` and
@@ -20,11 +20,13 @@ import numpy as np
 from foretouch.cloud.geometry.frames import has_depth
 from foretouch.cloud.io.pointcloud2 import DATATYPES, decode, encode
 from foretouch.errors import CloudError, DatasetError
-from foretouch.types import SECOND_NS, AnyArray, Cloud, Index, Plane, stamp_ns
+from foretouch.types import ASSUMED_TABLE, SECOND_NS, AnyArray, Cloud, Index, Plane, stamp_ns
 from foretouch.types.scene import Object
 
 _START: Final = 4  # of the fields in CDR
 _STAMP_END_NS: Final = 2**31 * SECOND_NS  # builtin_interfaces/Time counts seconds in an int32
+_MAX_OFFSET_M: Final = 1000.0  # of a table from the camera, or more by the largest component of its normal
+_MAX_COEFFICIENT: Final = 1e100  # of a plane
 
 
 def read_header(data: bytes) -> tuple[int, str]:
@@ -102,7 +104,28 @@ def decode_cloud(message: Any) -> Cloud:
     return Cloud(xyz, rgb, message.header.frame_id, stamp_ns(message.header.stamp))
 
 
-def decode_objects(message: Any, table: Plane) -> tuple[Object, ...]:
+def decode_plane(message: Any) -> Plane | None:
+    """Decode a `shape_msgs/Plane`; None for four zeros.
+
+    Raises:
+        CloudError: If a number is not finite, only the normal is zero, or the plane is farther away than any table.
+    """
+    if not np.any(message.coef):
+        return None
+    exact = np.asarray(message.coef, np.float64)
+    scale = float(np.abs(exact[:3]).max())
+    if np.isfinite(exact).all() and scale and not abs(float(exact[3])) / scale <= _MAX_OFFSET_M:
+        raise CloudError(f"plane: {exact.tolist()} is farther away than {_MAX_OFFSET_M:g} m")
+    if np.isfinite(exact).all() and scale > _MAX_COEFFICIENT:  # its square may overflow
+        raise CloudError(f"plane: {exact.tolist()} has a number beyond {_MAX_COEFFICIENT:g}")
+    plane = Plane.from_coefficients(message.coef)
+    if abs(float(np.linalg.norm(exact[:3])) - 1.0) < 1e-12:
+        # A unit normal must stay as it is: dividing it by its length again may change its last bit.
+        return Plane(exact[:3], float(exact[3]))
+    return plane
+
+
+def decode_objects(message: Any, table: Plane = ASSUMED_TABLE) -> tuple[Object, ...]:
     """Decode the objects of an `object_cloud` in their order. A cloud without labels is one object with the id "".
 
     Args:

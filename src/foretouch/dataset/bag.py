@@ -21,14 +21,16 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
+from foretouch.cloud.io.colours import COLOUR_ENCODINGS, ColourImages, colours_of
 from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, decode_depth, info_topic
 from foretouch.cloud.messages import decode_cloud
 from foretouch.config import load_yaml
+from foretouch.dataset.bag_colours import with_colours
 from foretouch.dataset.bag_files import PACKED, McapFile, known_failures, open_storage, plain
 from foretouch.errors import CloudError, FileError, ForetouchError, none_of
 from foretouch.files import open_regular, require_existing
-from foretouch.types import Cloud, stamp_ns
+from foretouch.types import Cloud, UInt8, stamp_ns
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection, MessageDefinition
@@ -82,6 +84,7 @@ class Recording:
     Attributes:
         topics: What it holds; of an MCAP file without an index, as far as it is intact.
         notes: Where its `metadata.yaml` states something else than is in the files, one line each.
+        colours: Of the depth images, and what became of them.
 
     Raises:
         FileError: If the path is not a recording, or is truncated or damaged. An MCAP file is read as far as it is intact.
@@ -91,6 +94,8 @@ class Recording:
         self.path = Path(path)
         self._camera = camera or DepthCamera()
         self._info_topics: dict[str, str] = {}
+        self._color_topics: dict[str, str] = {}
+        self.colours = ColourImages()
         files = _storage_files(self.path)
         with ExitStack() as stack:
             self._readers = [open_storage(file, stack) for file in files]
@@ -168,6 +173,45 @@ class Recording:
             self._info_topics[topic] = self._find_info(topic)
         return self._info_topics[topic]
 
+    def color_topic(self, topic: str) -> str:
+        """Find the topic of the colours of depth images.
+
+        It is the given one, or the only one whose first image is of the frame and size of the first depth image, and an image
+        rather than the compressed form of it; "" for clouds, or where there is none.
+
+        Raises:
+            FileError: If the given one is absent, or holds other messages or none.
+        """
+        if topic not in self._color_topics:
+            self._color_topics[topic] = self._find_colours(topic)
+        return self._color_topics[topic]
+
+    def _find_colours(self, topic: str) -> str:
+        kinds = (_IMAGE_TYPE, _COMPRESSED_TYPE)
+        images = [t for t in self.topics if t.count and t.type in kinds and t.name != topic]
+        if self.kind_of(topic) not in kinds:
+            return ""
+        if given := str(self._camera.color):
+            if given not in (names := [image.name for image in images]):
+                raise FileError(self.path, f"--color {none_of(given, names)}", field=topic)
+            return given
+        fitting = [image for image in images if self._has_colours(topic, image)]
+        raw = {image.name for image in fitting if image.type == _IMAGE_TYPE}
+        fitting = [image for image in fitting if image.name in raw or image.name.rpartition("/")[0] not in raw]
+        return fitting[0].name if len(fitting) == 1 else ""
+
+    def _has_colours(self, topic: str, images: Topic) -> bool:
+        """Return whether the first image of a topic has colours, in the frame and size of the first depth image of another."""
+        try:
+            image = self.content(next(self.messages([images.name])))
+            if images.type == _IMAGE_TYPE and image.encoding not in COLOUR_ENCODINGS:
+                return False
+            depth = self.content(next(self.messages([topic])))
+            colours_of(image, depth.header.frame_id, decode_depth(depth).shape)
+        except (CloudError, FileError, StopIteration):
+            return False
+        return True
+
     def kind_of(self, topic: str) -> str:
         """Return the type of the messages of a topic; "" where there are none."""
         return next((recorded.type for recorded in self.topics if recorded.name == topic and recorded.count), "")
@@ -214,7 +258,8 @@ class Recording:
         """Return whether nodes would read the depth images of a topic otherwise: with `camera_info` beside them, in the unit of their encoding."""
         if self.kind_of(topic) == POINT_CLOUD_TYPE:
             return False
-        return bool(self._camera.stated) or self.info_topic(topic) != info_topic(topic) or self._unit(topic) is not None
+        stated = {*self._camera.stated} - {"--color"}  # whose topic is played as it is
+        return bool(stated) or self.info_topic(topic) != info_topic(topic) or self._unit(topic) is not None
 
     def first_info(self, topic: str) -> CameraInfos:
         """Read the first camera info of a topic of depth images, which is for the images before it; clouds have no camera info."""
@@ -228,14 +273,17 @@ class Recording:
     def clouds(self, topic: str) -> Iterator[tuple[Message, Callable[[], Cloud]]]:
         """Read the messages of a topic of clouds or depth images, each with what decodes it.
 
-        A depth image has the camera of the last info before it, the first ones the camera of the first info. What decodes a
-        message raises a `FileError` if it is damaged or has no camera; the iteration as `messages`.
+        A depth image has the camera of the last info before it, the first ones the camera of the first info; and its colours,
+        where there are any. What decodes a message raises a `FileError` if it is damaged or has no camera; the iteration as
+        `messages`.
         """
         infos = self.first_info(topic)
         beside = "" if self._camera.is_known else self.info_topic(topic)
-        for message in self.messages({topic, beside}):
+        colour_topic = self.color_topic(topic)
+        messages = self.messages({topic, beside, colour_topic})
+        for message, colours in with_colours(messages, topic, colour_topic, self.colours):
             if message.topic == topic:
-                yield message, partial(self.decode_cloud, message, infos)
+                yield message, partial(self.decode_cloud, message, infos, colours)
             else:
                 infos = deepcopy(infos)  # images before it are perhaps decoded later
                 infos.add(self.content(message), message.bag_time_ns * 1e-9)
@@ -279,21 +327,37 @@ class Recording:
                 rule = f"cannot be decoded: the recording does not define {err.args[0]}, which is no standard type"
                 raise FileError(self.path, rule, field=_position(message)) from err
 
-    def decode_cloud(self, message: Message, infos: CameraInfos | None = None) -> Cloud:
-        """Decode a cloud or a depth image, with the frame and stamp of its header; a `FileError` if that fails."""
+    def decode_cloud(self, message: Message, infos: CameraInfos | None = None, colours: Message | None = None) -> Cloud:
+        """Decode a cloud or a depth image, with the frame and stamp of its header; a `FileError` if that fails.
+
+        Args:
+            message: The cloud or depth image.
+            infos: Cameras of depth images.
+            colours: The image with the colours of a depth image. One that does not fit is left out, and counted in `colours`.
+        """
         content = self.content(message)
         try:
             if infos is None or message.type == POINT_CLOUD_TYPE:
                 return decode_cloud(content)
+            rgb = None if colours is None else self._decode_colours(colours, content)
             if not self._camera.is_known:
-                return infos.cloud(content, message.bag_time_ns * 1e-9)
+                return infos.cloud(content, message.bag_time_ns * 1e-9, rgb)
             depth = decode_depth(content)
             model, scale = self._camera.recorded((depth.shape[0], depth.shape[1]), message.topic)
             scale = self._unit(message.topic) if scale is None else scale
             stamped = {"frame_id": content.header.frame_id, "stamp_ns": stamp_ns(content.header.stamp)}
-            return Cloud.from_depth(depth, model, scale, **stamped)
+            return Cloud.from_depth(depth, model, scale, rgb=rgb, **stamped)
         except CloudError as err:
             raise FileError(self.path, str(err), field=_position(message)) from err
+
+    def _decode_colours(self, message: Message, depth: Any) -> UInt8 | None:
+        """Return the colours (H, W, 3) of a depth image; None, which is counted, if their message is damaged or does not fit."""
+        try:
+            content = self.content(message)
+        except FileError as err:
+            self.colours.refuse(str(err))
+            return None
+        return self.colours.decode(content, depth.header.frame_id, decode_depth(depth).shape)
 
     def _topics(self) -> Iterator[Topic]:
         for name in sorted({connection.topic for connection in self._connections}):

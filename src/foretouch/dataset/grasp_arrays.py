@@ -27,6 +27,7 @@ from foretouch.types import (
     Grasp,
     Int64,
     Outcome,
+    Plane,
     Sample,
     Touch,
     TouchSeries,
@@ -61,6 +62,7 @@ class GraspArrays:
         outcome: True or "success", False or "failure"; None if it is not known.
         cloud: The object's points, seen before the grasp.
         grasp: The contacts that were grasped, in the frame of the cloud.
+        table: Under the object, in the frame of the cloud, as `segment` finds it; None takes the camera to look straight down on it.
         note: Where it comes from.
 
     Raises:
@@ -80,6 +82,7 @@ class GraspArrays:
     outcome: bool | str | None = None
     cloud: Cloud = NO_CLOUD
     grasp: Grasp = NO_GRASP
+    table: Plane | None = None
     note: str = ""
 
     def __post_init__(self) -> None:
@@ -131,6 +134,7 @@ class GraspArrays:
             object=label,
             cloud=self.cloud,
             grasp=self.grasp,
+            table=self.table,
             tare=tare,
             stamp_ns=int(stamps[0]),
             outcome=_outcome(self.outcome),

@@ -12,12 +12,10 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Final
 
 from foretouch.cloud.io.depth_messages import CameraInfos
-from foretouch.cloud.io.pointcloud2 import encode
-from foretouch.cloud.messages import header_fields, join_objects
+from foretouch.cloud.messages import decode_objects
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.bag import Message, Recording, is_recording
 from foretouch.dataset.formats import is_sample_set, open_samples
@@ -28,13 +26,14 @@ from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.writing import WriteResult, write_records
-from foretouch.errors import DatasetError, FileError, TactileError
+from foretouch.errors import CloudError, DatasetError, FileError, TactileError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TABLE_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.types import Sample, stamp_ns
+from foretouch.types.scene import Object
 
 _PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
@@ -47,6 +46,7 @@ class BagTopics:
     # `sensor_msgs/PointCloud2` of the objects alone (see `dataset.messages`); or depth images, which are segmented. Where the
     # default is absent, the only topic of depth images
     clouds: str = full_name(CLOUD_TOPIC)
+    table: str = full_name(TABLE_TOPIC)  # `foretouch_msgs/TablePlane` of the clouds of objects, if there is one
     grasps: str = full_name(GRASPS_TOPIC)  # `foretouch_msgs/GraspArray`, each with the stamp of its cloud
     executed: str = full_name(EXECUTED_TOPIC)  # `foretouch_msgs/ExecutedGrasp`
     tactile: str = TACTILE_TOPIC  # tactile messages of a type in `TACTILE_TYPES`
@@ -55,7 +55,13 @@ class BagTopics:
 
     def roles(self) -> dict[str, Role]:
         """Return the role of each topic."""
-        return {self.clouds: "cloud", self.grasps: "grasps", self.executed: "executed", self.tactile: "tactile"}
+        return {
+            self.clouds: "cloud",
+            self.table: "table",
+            self.grasps: "grasps",
+            self.executed: "executed",
+            self.tactile: "tactile",
+        }
 
 
 def import_samples(
@@ -159,11 +165,11 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
         role = roles[message.topic]
         now_s = max(now_s, message.bag_time_ns * 1e-9) if live else 0.0  # otherwise grasps wait until the end
         cloud = role == "cloud"
-        decode = partial(_segmented, bag, message, infos) if beside else partial(bag.content, message)
+        decode = partial(_objects_in, bag, message, infos if beside else None)
         content = SerializedCloud(message.data, decode, by_place=bool(beside)) if cloud else bag.content(message)
         try:
             assembler.add(role, content, received_ns=message.bag_time_ns, now_s=now_s)
-        except (TactileError, DatasetError):
+        except (TactileError, DatasetError, CloudError):
             result.left_out[f"unreadable {message.topic}"] += 1
         yield from _samples(assembler.poll(now_s), result)
     yield from _samples(assembler.poll(now_s, ending=True), result)
@@ -183,12 +189,9 @@ def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
     return topics
 
 
-def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNamespace:
-    """Return the objects in a depth image as an `object_cloud`, numbered by their distance from the camera."""
-    cloud = bag.decode_cloud(message, infos)
-    joined, columns = join_objects(segment(cloud).objects, cloud.frame_id, cloud.stamp_ns)
-    header = header_fields(cloud.stamp_ns, cloud.frame_id, message.topic)
-    return SimpleNamespace(header=header, **vars(encode(joined, **columns)))
+def _objects_in(bag: Recording, message: Message, infos: CameraInfos | None) -> tuple[Object, ...]:
+    """Return the objects of an `object_cloud`; of a depth image those found in it, numbered by their distance from the camera."""
+    return decode_objects(bag.content(message)) if infos is None else segment(bag.decode_cloud(message, infos)).objects
 
 
 def _samples(assembled: list[Sample | RejectedGrasp], result: WriteResult) -> Iterator[Sample]:

@@ -29,12 +29,13 @@ def describe(path: str | Path) -> dict[str, Any]:
     sizes = []
     stamps = []
     errors = []
-    tared = 0
+    tared = tables = 0
     for sample in samples.with_discarded():
         objects[sample.object] += 1
         outcomes[sample.outcome] += 1
         flags.update(sample.flags)
         tared += sample.tare is not None
+        tables += sample.table is not None
         sizes.append(sample.cloud.size)
         stamps.append(sample.stamp_ns)
         if sample.pairing_error_ns is not None:
@@ -47,6 +48,7 @@ def describe(path: str | Path) -> dict[str, Any]:
         "samples": len(sizes),
         "labelled": len(touches),
         "tared": tared,
+        "tables": tables,  # samples that hold their table; of others the camera is taken to look straight down on it
         "discarded": flags[DISCARDED],
         "objects": objects,
         "outcomes": outcomes,

@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from foretouch.dataset.bag import Recording
+from foretouch.dataset.bag_colours import with_colours
 from foretouch.dataset.recording.sample_codec import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, Source
 from foretouch.errors import ForetouchError
@@ -110,17 +111,20 @@ def _recorded(source: Source, topics: Collection[str]) -> Iterator[Entry]:
         stamped = {topic.name: topic.stamped for topic in recording.topics}
         info = recording.info_topic(source.topic) if source.converted else ""
         infos = recording.first_info(source.topic)
-        for message in recording.messages({*played, info}):
+        colour_topic = source.color_topic if source.converted else ""
+        messages = recording.messages({*played, info, colour_topic})
+        for message, colours in with_colours(messages, source.topic, colour_topic, recording.colours):
             data, refusal = message.data, ""
             try:
                 content = recording.content(message)
                 if message.topic == info:
                     infos.add(content, message.bag_time_ns * 1e-9)
                 if source.converted and message.topic == source.topic:
-                    data = serialize_cloud(recording.decode_cloud(message, infos))
+                    data = serialize_cloud(recording.decode_cloud(message, infos, colours))
             except ForetouchError as err:
                 data, refusal = b"", str(err)
             topic = CLOUDS if message.topic == source.topic else message.topic
             name = f"{source.path}: {message.topic}[{message.index}]"
             if message.topic in played:
                 yield Entry(name, topic, message.bag_time_ns, data, stamped[message.topic], refusal)
+        source.remarks[:] = [f"{source.path}: {colour_topic}: {remark}"] if (remark := recording.colours.remark) else []

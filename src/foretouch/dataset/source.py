@@ -12,6 +12,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
+from foretouch.cloud.io.colours import COLOUR_SUFFIXES
 from foretouch.cloud.io.depth_files import PAIRING, DepthCamera, Pairs
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, holds_points, read_cloud
 from foretouch.cloud.io.images import IMAGE_SUFFIXES
@@ -58,6 +59,7 @@ class Source:
     entries: Callable[[], Iterable[tuple[str, Callable[[], Cloud | Sample]]]]  # name of each, and what reads it
     frame_id: str = ""  # for clouds without a frame
     topic: str = ""  # of the clouds or depth images of a recording
+    color_topic: str = ""  # of the colours of depth images of a recording
     info_topic: str = ""  # of the camera infos of depth images that are played as they are; "" for clouds
     converted: bool = (
         False  # whether the depth images of a recording become clouds, since nodes would read them otherwise
@@ -65,6 +67,7 @@ class Source:
     others: tuple[Topic, ...] = ()  # further topics of a recording
     masks: Mapping[str, Path] = field(default_factory=dict)  # of depth images of a folder, by name of the entry
     camera: DepthCamera = DepthCamera()  # what is known besides of the depth images of a recording
+    remarks: list[str] = field(default_factory=list)  # at the end of an iteration: depth images without their colours
     notes: tuple[str, ...] = ()  # what its `metadata.yaml` states otherwise than its files, and images left out
 
     def __len__(self) -> int:
@@ -127,12 +130,24 @@ def _recording(path: Path, topic: str | None, frame_id: str, camera: DepthCamera
         name = recording.cloud_topic(topic)
         topics = {recorded.name: recorded for recorded in recording.topics}
         count = topics.pop(name).count
-        info, converted = recording.info_topic(name), recording.is_converted(name)
+        info, converted, colours = recording.info_topic(name), recording.is_converted(name), recording.color_topic(name)
         notes = recording.notes
-    others = tuple(topics.values())
-    entries = partial(_recorded, path, name, camera)
-    source = Source(path, "recording", count, entries, frame_id, name, others=others, notes=notes)
-    return replace(source, info_topic="" if converted else info, converted=converted, camera=camera)
+    remarks: list[str] = []
+    return Source(
+        path,
+        "recording",
+        count,
+        partial(_recorded, path, name, camera, remarks),
+        frame_id,
+        name,
+        color_topic=colours,
+        info_topic="" if converted else info,
+        converted=converted,
+        others=tuple(topics.values()),
+        camera=camera,
+        remarks=remarks,
+        notes=notes,
+    )
 
 
 def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
@@ -140,6 +155,8 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     is_folder = path.is_dir()
     if given.stated and not is_folder and holds_points(path):
         given.require_none(path, "holds points")
+    if given.color and is_folder:
+        raise FileError(path, "is a folder, whose colours are NAME-color.png beside NAME-depth.png: leave out --color")
     files = sorted(path.iterdir(), key=_natural) if is_folder else [path]
     pairs = Pairs.of(files if is_folder else [])
     known = CLOUD_SUFFIXES if is_folder else CLOUD_SUFFIXES + IMAGE_SUFFIXES
@@ -147,9 +164,9 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     for file in files:
         if file in pairs.depths or (file.suffix.lower() in known and file not in pairs.others):
             beside = None if given.info or given.intrinsics else pairs.infos.get(file)
-            own = replace(given, info=given.info or beside)
+            own = replace(given, info=given.info or beside, color=given.color or pairs.colours.get(file, ""))
             clouds.append((str(file), partial(read_cloud, file, own)))
-        elif file.suffix.lower() in IMAGE_SUFFIXES and file not in pairs.others:
+        elif file.suffix.lower() in (*IMAGE_SUFFIXES, *COLOUR_SUFFIXES) and file not in pairs.others:
             left_out.append(file.name)
     if not clouds and is_folder:
         formats = ", ".join(CLOUD_SUFFIXES)
@@ -165,10 +182,14 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     return Source(path, "clouds", len(clouds), partial(list, clouds), frame_id, masks=masks, notes=notes)
 
 
-def _recorded(path: Path, topic: str, camera: DepthCamera) -> Iterator[tuple[str, Callable[[], Cloud]]]:
+def _recorded(
+    path: Path, topic: str, camera: DepthCamera, remarks: list[str]
+) -> Iterator[tuple[str, Callable[[], Cloud]]]:
     with Recording(path, camera) as recording:
         for message, decode in recording.clouds(topic):
             yield f"{path}[{message.index}]", decode
+        remark = recording.colours.remark
+        remarks[:] = [f"{path}: {recording.color_topic(topic)}: {remark}"] if remark else []
 
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The training store: samples in Arrow IPC shards, read at random by batches.
 
-Layout, schema version 1::
+Layout, schema version 2 (1 lacks the tables, which are then not known)::
 
     store/
       manifest.json       format, schema version, counts, hashes, and facts about the samples' origin
@@ -31,11 +31,11 @@ from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
 from foretouch.files import COUNT, file_sha256, open_regular, parse_json, require_schema
 from foretouch.tactile.description import sensor_in
-from foretouch.types import Cloud, Grasp, Sample, Touch
+from foretouch.types import Cloud, Grasp, Plane, Sample, Touch
 from foretouch.types.channels import Channels
 
 FORMAT: Final = "foretouch-store"
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 MANIFEST: Final = "manifest.json"
 SEAL: Final = "seal"
 
@@ -53,6 +53,7 @@ _COLUMNS: Final = [
     ("touch", pa.list_(pa.float64(), 0)),  # D values of the sensor, null for an unlabelled sample
     ("tare", pa.list_(pa.float64(), 0)),  # the same, or null
     ("extra", pa.string()),  # JSON object of numbers
+    ("table", pa.list_(pa.float64(), 4)),  # a, b, c, d in the frame of the cloud [m], or null
 ]
 
 _KEPT_BATCHES: Final = 4
@@ -60,7 +61,7 @@ _STREAM: Final = 8  # offset of the first message in an Arrow file [bytes]
 _ARROW_ERRORS: Final = (pa.ArrowException, ValueError, TypeError, NotImplementedError)
 
 _POINTS: Final = ("xyz", "rgb")
-_NULLABLE: Final = ("rgb", "touch", "tare")
+_NULLABLE: Final = ("rgb", "touch", "tare", "table")
 _MANIFEST_SCHEMA: Final = {
     "samples": COUNT,
     "sha256": str,
@@ -71,11 +72,12 @@ _MANIFEST_SCHEMA: Final = {
 }
 
 
-def schema_of(channels: Channels) -> pa.Schema:
-    """Return the columns of a store with readings of a sensor; a row is a sample."""
+def schema_of(channels: Channels, version: int = SCHEMA_VERSION) -> pa.Schema:
+    """Return the columns of a store of a version with readings of a sensor; a row is a sample."""
     touch = pa.list_(pa.float64(), channels.size)
-    columns = [(name, touch if name in ("touch", "tare") else kind) for name, kind in _COLUMNS]
-    return pa.schema(columns, metadata={"format": FORMAT, "schema_version": str(SCHEMA_VERSION)})
+    known = _COLUMNS if version > 1 else _COLUMNS[:-1]
+    columns = [(name, touch if name in ("touch", "tare") else kind) for name, kind in known]
+    return pa.schema(columns, metadata={"format": FORMAT, "schema_version": str(version)})
 
 
 def is_store(path: str | Path) -> bool:
@@ -106,9 +108,10 @@ class Store(Sequence[Sample]):
         self.path = Path(path)
         self.manifest = _read_manifest(self.path)
         self.sensor = sensor_in(self.manifest, self.path / MANIFEST)
+        self._schema = schema_of(self.sensor.channels, self.manifest["schema_version"])
         self._parts = self._verified_parts()
         self._starts = np.cumsum([0, *(part.samples for part in self._parts)])
-        self._batch = lru_cache(maxsize=_KEPT_BATCHES)(partial(_read_batch, schema_of(self.sensor.channels)))
+        self._batch = lru_cache(maxsize=_KEPT_BATCHES)(partial(_read_batch, self._schema))
         if len(self) != self.manifest["samples"]:
             raise FileError(self.path, f"holds {len(self)} samples, not {self.manifest['samples']}", field="samples")
 
@@ -147,7 +150,7 @@ class Store(Sequence[Sample]):
             _require_hash(self.path / part["file"], file_sha256(self.path / part["file"]), part["sha256"])
         parts: list[_Part] = []
         for shard in self.manifest["shards"]:
-            parts += _read_shard(self.path / shard["file"], shard["sha256"], shard["samples"], self.sensor.channels)
+            parts += _read_shard(self.path / shard["file"], shard["sha256"], shard["samples"], self._schema)
         return parts
 
 
@@ -170,6 +173,8 @@ def sample_digest(sample: Sample) -> bytes:
     digest.update(np.concatenate([grasp.g1, grasp.g2, grasp.rotation.ravel(), [grasp.score]]).astype(np.float64).data)
     for touch in (sample.touch, sample.tare):
         digest.update(b"-" if touch is None else touch.values.data)
+    if sample.table is not None:
+        digest.update(sample.table.coefficients.data)
     return digest.digest()
 
 
@@ -183,7 +188,7 @@ def content_sha256(samples: Iterable[Sample]) -> str:
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     file = path / MANIFEST
-    manifest = read_manifest(file, FORMAT, SEAL, SCHEMA_VERSION)
+    manifest = read_manifest(file, FORMAT, SEAL, SCHEMA_VERSION, 1)
     require_schema(file, manifest, _MANIFEST_SCHEMA)
     for part in [*manifest.setdefault("shards", []), *manifest.setdefault("files", [])]:
         if not part["file"] or "\0" in part["file"] or Path(part["file"]).name != part["file"]:
@@ -196,7 +201,7 @@ def _require_hash(path: Path, digest: str, wanted: str) -> None:
         raise FileError(path, f"sha256 is {digest}, not {shown(wanted)} as in {MANIFEST}: the file was changed")
 
 
-def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> list[_Part]:
+def _read_shard(path: Path, sha256: str, samples: int, wanted: pa.Schema) -> list[_Part]:
     """Return the record batches of a shard, checked after its hash, for Arrow trusts what it is given."""
     parts = list[_Part]()
     with open_regular(path) as file:
@@ -206,7 +211,7 @@ def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> li
         try:
             source = pa.PythonFile(file, "r")
             schema = pa.ipc.read_schema(pa.ipc.read_message(source))
-            if not schema.equals(schema_of(channels)):
+            if not schema.equals(wanted):
                 raise FileError(path, "has other columns than the schema", field="schema")
             offset, messages = file.tell(), pa.ipc.MessageReader.open_stream(source)
             for number, message in enumerate(messages):
@@ -283,6 +288,7 @@ def _sample(batch: Any, row: int, channels: Channels) -> Sample:
 
     names = ("id", "object", "frame_id", "extra", "stamp_ns", "score")
     plain = {name: batch.column(name)[row].as_py() for name in names}
+    table = vector("table") if "table" in batch.schema.names else None
     colours = vector("rgb")
     rgb = None if colours is None else colours.reshape(-1, 3)
     g1, g2, rotation = (vector(name).copy() for name in ("g1", "g2", "rotation"))
@@ -295,6 +301,7 @@ def _sample(batch: Any, row: int, channels: Channels) -> Sample:
         tare=touch("tare"),
         stamp_ns=plain["stamp_ns"],
         extra=_numbers(plain["extra"]),
+        table=None if table is None else Plane(table[:3].copy(), float(table[3])),
     )
 
 

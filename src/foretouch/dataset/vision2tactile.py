@@ -175,6 +175,7 @@ def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callab
         write_text(folder / TOUCH_FILE, "," + _as_text(_fingers(sample, sample.touch)))
         result.samples += 1
         result.lost["tare"] += sample.tare is not None
+        result.lost["table"] += sample.table is not None
         result.lost["series"] += sample.series is not None
         result.lost["extra"] += bool(sample.extra.keys() - exported)
         result.lost["id"] += folder.name != sample.id.partition("/")[2]

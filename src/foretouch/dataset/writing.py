@@ -33,6 +33,7 @@ class WriteResult:
 
     samples: int = 0  # samples that were written
     labelled: int = 0  # those with a touch
+    tables: int = 0  # those that hold their table; of others the camera is taken to look straight down on it
     readings: int = 0  # those in their series, or a touch without one
     left_out: Counter[str] = field(default_factory=Counter)  # what was not written, by reason
     notes: tuple[str, ...] = ()  # what to look at: stamps, missing numbers, what a bag states of its files
@@ -170,6 +171,7 @@ def write_records(
                     remarks.setdefault(flag, []).append(f"{name}: {text}")
                 result.samples += 1
                 result.labelled += sample.touch is not None
+                result.tables += sample.table is not None
                 result.readings += 0 if series is None else len(series.stamps_ns)
                 progress()
     result.notes += tuple(f"{kind}: {len(texts)} samples, first {texts[0]}" for kind, texts in remarks.items())

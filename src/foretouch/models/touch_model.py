@@ -104,6 +104,11 @@ class TouchModel(Summarised):
         }
 
     @property
+    def uses_colours(self) -> bool:
+        """Whether it predicts from the colours of the points; of a predictor that does not state it, they are taken to be used."""
+        return bool(getattr(self.predictor, "uses_colours", True))
+
+    @property
     def simulated(self) -> bool:
         """Whether it was trained on simulated grasps, and so predicts for the simulated hand only."""
         return "scene_sha256" in self.card.get("data", {})
@@ -298,6 +303,11 @@ class TouchModel(Summarised):
         if not np.isfinite(estimate.counts).all():
             raise ModelError(f"{self.name}: {_NOT_FINITE}")
         return estimate
+
+    @property
+    def rest(self) -> Touch | None:
+        """Reading without contact, as the sensors of the training had it; None of a model without a calibration."""
+        return None if self.calibration is None else Touch(self.calibration.rest, self.sensor.channels)
 
     def tare_offset(self, tare: Touch) -> Float64:
         """Compute the difference of a tare from the rest level of the model.

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from foretouch.grasp.hand import FINGER, PALM, THUMB, Hand, load_hand
-from foretouch.report.panels import new_figure, save
+from foretouch.report.panels import Axes, new_figure, save
 from foretouch.types import Float64, Grasp
 
 _EDGES: Final = [(a, b) for a in range(8) for b in (a ^ 1, a ^ 2, a ^ 4) if a < b]  # of the corners of a box
@@ -15,15 +15,15 @@ COLOURS: Final = {FINGER: "#00798c", PALM: "#808080", THUMB: "#d1495b"}
 """Of the parts of a hand; thumb and finger have the colours of their contacts, g1 and g2."""
 
 
-def hand_lines(grasp: Grasp) -> dict[str, Float64]:
-    """Find the edges of the boxes of a hand that has taken a grasp.
+def hand_boxes(grasp: Grasp) -> dict[str, Float64]:
+    """Find the boxes of a hand that has taken a grasp.
 
     Args:
         grasp: Of a plan.
 
     Returns:
-        By part (`finger`, `palm`, `thumb`) the ends (E, 2, 3) float64 of E edges [m], in the frame of the grasp's cloud. Empty for a
-        grasp that was not planned for a hand, and for a hand without boxes.
+        By part (`finger`, `palm`, `thumb`) the corners (B, 8, 3) float64 of B boxes [m], in the frame of the grasp's cloud. Empty for
+        a grasp that was not planned for a hand, and for a hand without boxes.
 
     Raises:
         ConfigError: If the description of the hand is not found, as of a grasp from another computer.
@@ -33,9 +33,24 @@ def hand_lines(grasp: Grasp) -> dict[str, Float64]:
     hand = load_hand(grasp.way.hand)
     at = hand.at(grasp.width_m)
     pose = grasp.way.pose_of_hand @ np.linalg.inv(at.tool)
-    edges = np.asarray(at.corners[:, _EDGES] @ pose[:3, :3].T + pose[:3, 3], np.float64)  # (B, 12, 2, 3)
+    corners = np.asarray(at.corners @ pose[:3, :3].T + pose[:3, 3], np.float64)
     parts = np.array(hand.parts)
-    return {part: edges[parts == part].reshape(-1, 2, 3) for part in COLOURS if part in hand.parts}
+    return {part: corners[parts == part] for part in COLOURS if part in hand.parts}
+
+
+def hand_lines(grasp: Grasp) -> dict[str, Float64]:
+    """Find the edges of `hand_boxes`: by part the ends (E, 2, 3) float64 of E edges [m]."""
+    return {part: boxes[:, _EDGES].reshape(-1, 2, 3) for part, boxes in hand_boxes(grasp).items()}
+
+
+def draw_boxes(axes: Axes, boxes: Float64, part: str) -> None:
+    """Draw the outlines of boxes of a part of the hand, whose corners (B, 8, 2) lie in the plane of a picture; the picture shows through."""
+    from scipy.spatial import ConvexHull
+
+    for corners in boxes:
+        outline = corners[ConvexHull(corners).vertices].T
+        axes.fill(*outline, facecolor=COLOURS[part], alpha=0.3, linewidth=0.0, zorder=4)
+        axes.fill(*outline, fill=False, edgecolor=COLOURS[part], linewidth=0.9, zorder=4)
 
 
 def save_hand_figure(hand: Hand, path: Path) -> Path:

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What figures share: creation without a display, saving, points of clouds; matplotlib is imported when a figure is drawn."""
+"""What figures share: their style, creation without a display, saving, points of clouds; matplotlib is imported when a figure is drawn.
+
+A page of the documents, and of GitHub, shows a picture 7.7 inches wide: a figure of `PAGE_INCH` keeps the size of its text.
+Figures bring their white background along, and are read in the dark, too.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +26,17 @@ if TYPE_CHECKING:
 Axes: TypeAlias = "matplotlib.axes.Axes"
 
 
+PAGE_INCH: Final = 7.7
+TEXT_PT, SMALL_PT = 8.5, 7.5
+"""Sizes of text; nothing is smaller than 7 points where it is shown."""
+
 FINGER_COLOURS: Final = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")
 """Of the fingers at g1 and g2, and of others that are recorded."""
+
+OBJECT_COLOURS: Final = ("#ff8000", "#00a6d6", "#e6007e", "#7ab800", "#8f4fd1", "#d9b300", "#00a88f", "#d1495b")
+"""Of objects by their order; each has its id beside it for who sees colours in another way."""
+
+INK, FAINT, SKIN, TABLE = "#202020", "#9aa3ad", "#f3e9e1", "#8a6d3b"
 
 _MAX_POINTS: Final = 5000  # more make a scatter plot slower, not denser
 
@@ -39,6 +52,11 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def finger_colour(finger: int) -> str:
+    """Return the colour of a finger by its index."""
+    return FINGER_COLOURS[finger % len(FINGER_COLOURS)]
 
 
 def without_formulas(figure: Figure) -> Figure:

@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw the readings of grasps, also of recordings without a camera: taxels over time, and both pads at the strongest reading."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from foretouch.report.panels import new_figure, save
-from foretouch.report.touch_figure import draw_taxels, taxel_colours, taxel_label
+from foretouch.report.finger_figure import FingerScale
+from foretouch.report.panels import PAGE_INCH, SMALL_PT, TEXT_PT, new_figure, save
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import REST, SECOND_NS, Float64, Sample, Touch, TouchSeries
 
 _OUTCOMES: Final = {"success": "#1a7f37", "failure": "#c9252d", "unknown": "#404040"}
-_ROW_INCH: Final = 2.4  # height of a grasp
+_ROW_INCH: Final = 2.0  # height of a grasp
 
 
 def save_series_sheet(path: str | Path, records: Sequence[Sample], title: str, sensor: Sensor) -> Path:
@@ -43,20 +43,21 @@ def save_series_sheet(path: str | Path, records: Sequence[Sample], title: str, s
         for (_, series, rest), k in zip(grasps, strongest, strict=True)
     ]
     shown = [pad[sensor.valid[finger]] for row in pads for finger, pad in enumerate(row)]
-    colours = taxel_colours(view, shown, tared=tared)
-    figure = new_figure(5.2 * fingers, _ROW_INCH * len(grasps) + 1.3)
-    figure.suptitle(title)
+    scale = FingerScale(view, shown, tared=tared)
+    figure = new_figure(PAGE_INCH, _ROW_INCH * len(grasps) + 1.0)
+    figure.suptitle(title, fontsize=TEXT_PT)
     widths = [2.0] * fingers + [1.0] * fingers
     grid = figure.subplots(len(grasps), 2 * fingers, squeeze=False, width_ratios=widths)
     for row, (sample, series, _), strongest_of, k, pad in zip(grid, grasps, levels, strongest, pads, strict=True):
         for finger, name in enumerate(view.fingers):
-            _draw_over_time(row[finger], sample, series, strongest_of[finger], k, colours)
-            row[finger].set_ylabel(f"{name}, taxel", fontsize=8)
-            drawn: Any = draw_taxels(row[fingers + finger], view, finger, pad[finger], None, colours)
-            row[fingers + finger].set_title(name, fontsize=8)
-        row[0].set_title(f"{sample.id}: {sample.outcome}", color=_OUTCOMES[sample.outcome], fontsize=9, loc="left")
-    label = taxel_label(view, tared=tared)
-    figure.colorbar(drawn, label=label, ax=list(grid.flat), location="bottom", shrink=0.5, aspect=50)
+            _draw_over_time(row[finger], sample, series, strongest_of[finger], k, scale)
+            row[finger].set_ylabel(f"{name}, taxel", fontsize=SMALL_PT)
+            scale.draw(row[fingers + finger], finger, pad[finger])
+            row[fingers + finger].set_title(name, fontsize=SMALL_PT)
+        row[0].set_title(
+            f"{sample.id}: {sample.outcome}", color=_OUTCOMES[sample.outcome], fontsize=TEXT_PT, loc="left"
+        )
+    scale.add_bar(figure, list(grid.flat), shrink=0.5, aspect=50)
     return save(figure, Path(path), dpi=100)
 
 
@@ -75,7 +76,7 @@ def _levels(series: TouchSeries, rest: Touch | None, view: TaxelView) -> Float64
 
 
 def _draw_over_time(
-    axes: Axes, sample: Sample, series: TouchSeries, levels: Float64, strongest: int, colours: Mapping[str, Any]
+    axes: Axes, sample: Sample, series: TouchSeries, levels: Float64, strongest: int, scale: FingerScale
 ) -> None:
     """Draw (T, N) levels by time from the first contact, or from the first reading, which the strongest reading divides."""
     zero = sample.contact_ns or series.stamps_ns[0]
@@ -83,7 +84,9 @@ def _draw_over_time(
     if len(seconds) == 1:
         seconds, levels = seconds + np.array([0.0, 1.0]), np.repeat(levels, 2, axis=0)
         axes.set_xticks([])
-    axes.pcolormesh(seconds, np.arange(levels.shape[1]), np.ma.masked_invalid(levels.T), shading="nearest", **colours)
+    axes.pcolormesh(
+        seconds, np.arange(levels.shape[1]), np.ma.masked_invalid(levels.T), shading="nearest", **scale.colours
+    )
     axes.axvline(seconds[strongest], color="black", linewidth=0.7, linestyle=":")
-    axes.set_xlabel("time from contact [s]" if sample.contact_ns else "time [s]", fontsize=8)
-    axes.tick_params(labelsize=7)
+    axes.set_xlabel("time from contact [s]" if sample.contact_ns else "time [s]", fontsize=SMALL_PT)
+    axes.tick_params(labelsize=SMALL_PT)

@@ -10,7 +10,7 @@ import numpy as np
 
 from foretouch.errors import DatasetError, none_of, shown
 from foretouch.types.arrays import AnyArray, Float32, Int64, UInt8, plain
-from foretouch.types.cloud import NO_CLOUD, Cloud
+from foretouch.types.cloud import NO_CLOUD, Cloud, Plane
 from foretouch.types.grasps import NO_GRASP, Grasp
 from foretouch.types.predictions import Touch
 from foretouch.types.summary import Summarised, briefly, counted, names_of
@@ -58,6 +58,7 @@ _TYPES: Final[dict[str, tuple[Any, str]]] = {
     **dict.fromkeys(("id", "object", "note", "detector", "outcome"), (str, "a text")),
     **dict.fromkeys(("touch", "tare"), ((Touch, NoneType), "a Touch")),
     "series": ((TouchSeries, NoneType), "a TouchSeries"),
+    "table": ((Plane, NoneType), "a Plane"),
     "stamp_ns": ((int, np.integer), "a whole number of nanoseconds"),
     **dict.fromkeys(_STAMPS[1:], ((int, np.integer, NoneType), "a whole number of nanoseconds")),
 }
@@ -91,8 +92,13 @@ class Sample(Summarised):
     detector: str = ""  # description of the method that detected the contact
     pairing_error_ns: int | None = None  # widest gap between the requested interval and the readings found [ns]
     flags: tuple[str, ...] = ()  # such as `arrival_stamped`
+    # The table in the frame of the cloud. None if it is not known, also where an assumed one is given: then the camera is taken to
+    # look straight down on it.
+    table: Plane | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.table, Plane) and self.table.assumed:
+            object.__setattr__(self, "table", None)
         values = vars(self)
         for name, (kinds, what) in _TYPES.items():
             if not isinstance(values[name], kinds):
@@ -112,6 +118,7 @@ class Sample(Summarised):
         return f"{shown(self.id, 40)!r}, {'not ' if self.touch is None else ''}labelled", {
             "object": shown(self.object, 60),
             "cloud": briefly(vars(self)["cloud"]) if "cloud" in vars(self) else "is read when it is used",
+            "table": "not known" if self.table is None else briefly(self.table),
             "grasp": briefly(self.grasp),
             "touch": "" if self.touch is None else briefly(self.touch),
             "tare": "" if self.tare is None else briefly(self.tare),
@@ -122,12 +129,13 @@ class Sample(Summarised):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON: grasp, readings by modality (None without), and facts; not cloud and series."""
+        """Return plain data for JSON: grasp, table [m], readings by modality (None without), and facts; not cloud and series."""
         return {
             "id": self.id,
             "object": self.object,
             "stamp_ns": self.stamp_ns,
             "grasp": self.grasp.to_dict(),
+            "table": None if self.table is None else self.table.coefficients.tolist(),
             "touch": None if self.touch is None else self.touch.to_dict(),
             "tare": None if self.tare is None else self.tare.to_dict(),
             "extra": plain(self.extra),

@@ -41,6 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         "out": str(arguments.out),
         "samples": len(result.samples),
         "labelled": sum(sample.labelled for sample in result.samples),
+        "tables": result.tables,
         "left_out": dict(result.left_out),
         "renumbered": result.renumbered,
         "sha256": result.sha256,

@@ -152,6 +152,7 @@ class BuildResult:
     sha256: str = ""  # content hash
     samples: list[SampleFacts] = field(default_factory=list)  # the samples in order
     left_out: Counter[str] = field(default_factory=Counter)  # counts of samples left out, by reason
+    tables: int = 0  # samples that hold their table; of others the camera is taken to look straight down on it
     renumbered: int = 0  # samples whose id a source before had; both ids are in the manifest
 
 
@@ -197,6 +198,7 @@ def build_store(
                     continue
                 stored = ids.with_own_id(number, only_finite(sample), renumbered)
                 writer.write(stored)
+                result.tables += stored.table is not None
                 result.samples.append(SampleFacts(stored.id, stored.object, stored.stamp_ns, stored.touch is not None))
             if renumbered:
                 origins[-1]["renumbered"] = renumbered
@@ -263,4 +265,5 @@ def _row(sample: Sample) -> dict[str, Any]:
         "score": sample.grasp.score,
         **counts,
         "extra": json.dumps(extra, separators=(",", ":")),
+        "table": None if sample.table is None else sample.table.coefficients,
     }

@@ -150,7 +150,7 @@ def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed
             shipped = TouchModel(_MeanPredictor(shipped), shipped.card, shipped.calibration)
         return _after_reading(shipped, sample, grasps), 1.0
     estimator = _reduced(cast("ContactEstimator", shipped.predictor), variant.values)
-    return lambda count: estimator.estimate(sample.cloud, grasps[:count]).counts, 1.0
+    return lambda count: estimator.estimate(sample.cloud, grasps[:count], sample.table).counts, 1.0
 
 
 def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
@@ -176,14 +176,14 @@ def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
 
 def _after_reading(model: TouchModel, sample: Sample, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
     """Return predictions right after one more reading of the hand, which is added to its history in each call."""
-    expected = model.estimate(sample.cloud, [sample.grasp]).counts[0]
+    expected = model.estimate(sample.cloud, [sample.grasp], sample.table).counts[0]
     reading, hand = labels_of([sample])[0], History(model)
     hand.start_object()
 
     def answer(count: int) -> Float64:
         now = hand.copy()
         now.tracker.add_touch(1, reading, expected)
-        estimate = model.estimate(sample.cloud, grasps[:count])
+        estimate = model.estimate(sample.cloud, grasps[:count], sample.table)
         return now.snapshot(2, same_object=True).adapt(estimate)[0]
 
     return answer

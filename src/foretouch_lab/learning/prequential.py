@@ -227,7 +227,7 @@ def replay_model(model: TouchModel, samples: Sequence[Sample], history: Sequence
             tare = Touch(model.usable_values(sample.tare, sample.id), sample.tare.channels)
             ordered[k] = with_readings(sample, tare=tare)
         try:
-            estimate = model.estimate_executed(sample.cloud, [sample.grasp])
+            estimate = model.estimate_executed(sample.cloud, [sample.grasp], table=sample.table)
         except GraspError as err:
             raise ModelError(f"{sample.id}: {err}") from err
         expected[k], known[k] = estimate.counts[0], estimate.known[0]

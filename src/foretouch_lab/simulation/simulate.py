@@ -110,7 +110,7 @@ def _make_block(scene: SceneConfig, slots: range) -> _Block:
             failures += failed
             if made is None:
                 return samples, engine.calls, engine.seconds, failures, True
-            samples.append(_sample(scene, slot, *made))
+            samples.append(_sample(engine, slot, *made))
     return samples, engine.calls, engine.seconds, failures, False
 
 
@@ -136,7 +136,8 @@ def _first_success(
     return None, failures
 
 
-def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -> Sample:
+def _sample(engine: Engine, slot: int, key: SampleKey, state: SampleState) -> Sample:
+    scene = engine.scene
     item = scene.objects[object_index(scene, key.slot)]
     extra = {"seed": float(key.seed), "slot": float(key.slot), "attempt": float(key.attempt)}
     if key.repeat:
@@ -153,6 +154,7 @@ def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -
         id=f"{item.name}/{slot:06d}",
         object=item.name,
         cloud=state.cloud,
+        table=engine.world.plane,
         grasp=state.grasp,
         touch=state.touch,
         tare=state.tare,

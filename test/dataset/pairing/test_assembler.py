@@ -6,14 +6,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 from pair_builders import SECOND, interval, stream
 
-from foretouch.cloud.messages import cloud_fields
+from foretouch.cloud.messages import cloud_fields, decode_objects
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.sample_codec import Definitions
+from foretouch.errors import CloudError
 from foretouch.tactile.messages.table import TactileReader, TactileReading
 from foretouch.types import Cloud
 
@@ -52,7 +54,15 @@ class Session:
         """Add the cloud of a grasp, taken at a time [ns]."""
         message = cloud_fields(Cloud(np.full((5, 3), number + 1, np.float32), frame_id="camera", stamp_ns=at))
         data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2"))
-        self.assembler.add("cloud", SerializedCloud(data, lambda: message), received_ns=0, now_s=0.0)
+        self.assembler.add("cloud", SerializedCloud(data, lambda: decode_objects(message)), received_ns=0, now_s=0.0)
+
+    def table(
+        self, number: int, coef: list[float], frame_id: str = "camera", status: int = 0, late_ns: int = 0
+    ) -> None:
+        """Add the message about the table under the cloud of a grasp."""
+        header = SimpleNamespace(stamp=stamp(interval(number).start - SECOND // 2 + late_ns), frame_id=frame_id)
+        message = SimpleNamespace(header=header, plane=SimpleNamespace(coef=np.array(coef)), status=status)
+        self.assembler.add("table", message, received_ns=0, now_s=0.0)
 
     def report(self, number: int, name: str | None = None, *, success: bool = True, touched: bool = True) -> None:
         when = interval(number)
@@ -120,6 +130,29 @@ def test_other_clouds_become_samples_without_a_touch_at_most_one_in_a_time() -> 
     assert [other.grasp.id for other in others] == ["g-0", "g-2"]  # 6 s apart
     assert all(other.touch is None for other in others)
     assert session.assembler.clouds_without_grasps == 1
+
+
+def test_the_table_of_a_sample_is_that_of_a_message_with_the_stamp_and_in_the_frame_of_its_cloud() -> None:
+    session = Session(6, unlabelled_s=0.0)
+    down = [0.0, 0.0, -1.0, 1.2]
+    told: list[dict[str, Any]] = [
+        {},
+        {"frame_id": "base"},
+        {"status": 14},  # none was found
+        {"coef": [0.0] * 4},
+        {"late_ns": 1},
+    ]
+    for number, changes in enumerate(told):
+        session.plan(number)
+        session.report(number)
+        session.table(number, **{"coef": down, **changes})
+    session.plan(5)
+    session.table(5, coef=[0.6, 0.0, -0.8, 1.0])
+    *others, unlabelled = [None if one.table is None else one.table.coefficients.tolist() for one in session.results()]
+    assert others == [down, None, None, None, None]
+    assert unlabelled == [0.6, 0.0, -0.8, 1.0]
+    with pytest.raises(CloudError, match="normal has zero length"):
+        session.table(0, coef=[0.0, 0.0, 0.0, 1.0])
 
 
 def test_labels_and_contacts_without_a_report() -> None:

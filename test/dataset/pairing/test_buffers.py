@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 from pair_builders import NONE, PERIOD, REST, SECOND, T0
 
-from foretouch.cloud.messages import cloud_fields
+from foretouch.cloud.messages import cloud_fields, decode_objects
 from foretouch.dataset.pairing.buffers import CloudBuffer, SerializedCloud, TouchBuffer
 from foretouch.tactile.messages.table import TactileReading
 from foretouch.types import Cloud
@@ -24,7 +24,7 @@ def kept(buffer: TouchBuffer) -> list[int]:
 def cloud(data: bytes, x: float | None = None) -> SerializedCloud:
     """A message of these bytes with points at an x [m], by default the first byte."""
     xyz = np.full((5, 3), data[0] if x is None else x, np.float32)
-    return SerializedCloud(data, lambda: cloud_fields(Cloud(xyz, frame_id="lens")))
+    return SerializedCloud(data, lambda: decode_objects(cloud_fields(Cloud(xyz, frame_id="lens"))))
 
 
 def test_order_is_that_of_the_stamps_and_memory_is_bounded_in_time_and_in_number(monkeypatch) -> None:
@@ -90,7 +90,8 @@ def test_the_oldest_clouds_go_and_the_same_message_twice_is_one_but_two_of_one_s
         assert not clouds.get(1).ambiguous
     clouds.add(1, cloud(b"b"), 0.2)
     assert clouds.get(1).ambiguous
-    unreadable = SerializedCloud(b"c", lambda: SimpleNamespace(**{**vars(cloud(b"c").decode()), "width": 7}))
+    short = cloud_fields(Cloud(np.zeros((5, 3), np.float32), frame_id="lens"))
+    unreadable = SerializedCloud(b"c", lambda: decode_objects(SimpleNamespace(**{**vars(short), "width": 7})))
     clouds.add(2, cloud(b"d"), 0.2)
     clouds.add(2, unreadable, 0.2)
     assert clouds.get(2).ambiguous

@@ -2,21 +2,27 @@
 """Which grasp gets which cloud and which touch: ids and stamps decide, in whatever order messages come."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from every_case import every_case
 from pair_builders import SECOND, Named, interval, level, stream
 
-from foretouch.cloud.messages import cloud_fields
 from foretouch.dataset.pairing.buffers import CloudBuffer, SerializedCloud, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError
 from foretouch.dataset.pairing.matcher import ExecutedGrasp, GraspTouchMatcher, Label, MatchedGrasp, RejectedGrasp
 from foretouch.dataset.pairing.sensors import ContactEpisodes
-from foretouch.types import Cloud
+from foretouch.types import ASSUMED_TABLE, Cloud
+from foretouch.types.scene import Object
 from foretouch_lab.simulation.message_faults import FaultConfig
 
 CONFIG = PairingConfig(wait_s=1.0)
+
+
+def seen(at: float) -> tuple[Object, ...]:
+    """One object, all of whose points are at a place [m]."""
+    return (Object.of("", Cloud(np.full((5, 3), at, np.float32)), ASSUMED_TABLE),)
 
 
 class Session:
@@ -39,11 +45,7 @@ class Session:
     def plan(self, number: int, name: str | None = None) -> int:
         """A cloud and its grasps, half a second before the hand begins to close; gives the stamp."""
         stamp = interval(number).start - SECOND // 2
-        self.clouds.add(
-            stamp,
-            SerializedCloud(f"cloud {number}".encode(), lambda: cloud_fields(Cloud(np.zeros((5, 3), np.float32)))),
-            0.0,
-        )
+        self.clouds.add(stamp, SerializedCloud(f"cloud {number}".encode(), partial(seen, 0.0)), 0.0)
         self.matcher.add_plan(stamp, "camera", [Named(name or f"g-{number}"), Named(f"{name or f'g-{number}'} second")])
         return stamp
 
@@ -118,7 +120,7 @@ def test_reports_that_are_repeated_unplanned_ambiguous_or_of_a_lost_cloud_are_re
     world.plan(1, "same")
     world.report(1, "same")
     stamp = world.plan(2)
-    other = SerializedCloud(b"another", lambda: cloud_fields(Cloud(np.ones((5, 3), np.float32))))
+    other = SerializedCloud(b"another", partial(seen, 1.0))
     world.clouds.add(stamp, other, 0.0)
     world.report(2)
     assert world.reasons() == ["grasp_ambiguous", "cloud_ambiguous"]

@@ -118,7 +118,7 @@ def test_a_clean_file_and_a_sample_of_another_version_are_left_alone_and_origina
     first += 49  # the head of the chunk, whose checksum is 16 bytes before its end
     changed[first - 16 : first - 12] = zlib.crc32(changed[first:last]).to_bytes(4, "little")
     file.write_bytes(changed)
-    with pytest.raises(FileError, match=r"schema_version: 9 is not 2: it was written by a newer foretouch"):
+    with pytest.raises(FileError, match=r"schema_version: 9 is not 3: it was written by a newer foretouch"):
         repair(file)
     assert file.read_bytes() == changed
 

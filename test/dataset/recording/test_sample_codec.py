@@ -75,9 +75,9 @@ def test_any_changed_byte_is_detected_and_other_bytes_are_refused_in_one_line() 
     body = bytearray(data[:-32])
     place = 4 + 12 + len("camera") + 1
     place += place % 2
-    assert body[place : place + 2] == b"\2\0"
+    assert body[place : place + 2] == b"\3\0"
     for version, rule in (
-        (9, "9 is not 2: it was written by a newer foretouch"),
+        (9, "9 is not 3: it was written by a newer foretouch"),
         (1, "1 is of foretouch 0.2: convert it"),
     ):
         body[place] = version

@@ -20,13 +20,13 @@ from shape_msgs.msg import Plane as PlaneMsg
 
 from foretouch.cli.answers import answer_record
 from foretouch.cloud.geometry.limits import ObjectLimits
+from foretouch.cloud.messages import decode_plane
 from foretouch.errors import CloudError, GraspError, ModelError
 from foretouch.grasp.messages import decode_grasp, has_orientation, rotation_from_quaternion
 from foretouch.ros.messages.conversions import (
     duration_to_msg,
     grasp_to_msg,
     header_to_msg,
-    plane_from_msg,
     plane_to_msg,
     prediction_from_msg,
     reference_text,
@@ -137,14 +137,14 @@ def test_a_grasp_that_cannot_be_used_is_refused_by_name():
 
 def test_planes_are_received_to_the_last_bit_or_refused_with_a_reason(rng):
     for plane in (Plane.from_coefficients(rng.normal(size=4)) for _ in range(50)):
-        np.testing.assert_array_equal(plane_from_msg(plane_to_msg(plane)).coefficients, plane.coefficients)
+        np.testing.assert_array_equal(decode_plane(plane_to_msg(plane)).coefficients, plane.coefficients)
     message = plane_to_msg(None)
-    assert plane_from_msg(message) is None
+    assert decode_plane(message) is None
     message.coef = np.array([0.0, 0.0, -2.0, 3.0])
-    np.testing.assert_array_equal(plane_from_msg(message).coefficients, [0.0, 0.0, -1.0, 1.5])
+    np.testing.assert_array_equal(decode_plane(message).coefficients, [0.0, 0.0, -1.0, 1.5])
     message.coef[1] = math.nan
     with pytest.raises(CloudError, match="not four finite numbers"):
-        plane_from_msg(message)
+        decode_plane(message)
 
     def check(status, reason, refused_as, text):
         table = TablePlane(header=HEADER, plane=PlaneMsg(), status=status, reason=reason)

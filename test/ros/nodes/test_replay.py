@@ -119,6 +119,31 @@ def test_depth_images_and_their_infos_keep_their_topics(graph, tmp_path, form):
     assert node.clouds_topic == topic
 
 
+@pytest.mark.parametrize("restamp", [False, True])
+def test_colours_keep_their_topic_and_the_stamp_of_their_depth_image(graph, tmp_path, restamp):
+    topics = {
+        "/foretouch/depth/image_rect_raw": Image,
+        "/foretouch/depth/camera_info": CameraInfo,
+        "/foretouch/color/image": Image,
+    }
+    depth, colour, sent = np.full((480, 848), 700, np.uint16), np.zeros((480, 848, 3), np.uint8), []
+    for k in range(3):
+        at = START_NS + k * STEP_NS
+        head = {"header": depth_builders.header(stamp_ns=at)}
+        messages = (
+            depth_builders.image(depth, "16UC1", **head),
+            depth_builders.info(**head),
+            depth_builders.image(colour, "rgb8", step=848 * 3, **head),
+        )
+        sent += [(topic, at + n, message) for n, (topic, message) in enumerate(zip(topics, messages, strict=True))]
+    path = depth_builders.write_bag(tmp_path / "bag", sent)
+    node, received = play(graph, path, topics, restamp=restamp)
+    assert dict(node.played) == dict.fromkeys(topics, 3)
+    images, _, colours = ([stamp_ns(one.header.stamp) for one in received[topic]] for topic in topics)
+    assert images == colours
+    assert (images == [START_NS + k * STEP_NS for k in range(3)]) != restamp
+
+
 def test_nothing_is_played_before_subscribers_are_there_but_the_wait_has_a_limit(graph, bag, capfd):
     path, _ = bag()
     node, received = start(graph, path, wait_for=["plans"], wait_limit_s=60.0), []

@@ -3,7 +3,7 @@
 
 Depth: PNG of 16 bits, TIFF of 16 bits or floats, `.npy` with (H, W) numbers, `.npz` with `depth`, `depth_mm` or `depth_m`, and perhaps `K`. Cameras: YAML
 of ROS (`camera_info`, or what `ros2 topic echo` prints) and of OpenCV, JSON of Open3D, RealSense and BOP, `meta.mat` of GraspNet, and (3, 3)
-matrices as text. What they state becomes a `sensor_msgs/CameraInfo`, and is read as one.
+matrices as text. What they state becomes a `sensor_msgs/CameraInfo`, and is read as one. Colours of the same pixels may stand beside them.
 """
 
 import io
@@ -18,19 +18,20 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.cloud.io.colours import COLOUR_SUFFIXES, as_colours, read_colours, require_size
 from foretouch.cloud.io.depth_messages import camera_model
 from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.cloud.io.mask_files import MASK_SUFFIXES
 from foretouch.config import EMPTY, load_yaml
 from foretouch.errors import CloudError, ConfigError, FileError, described, none_of, shown
 from foretouch.files import parse_json, read_bytes, require_existing
-from foretouch.types import AnyArray, CameraModel, Cloud
+from foretouch.types import AnyArray, CameraModel, Cloud, UInt8
 from foretouch.types.camera import MODELS, check_image
 
 _INFO_SUFFIXES: Final = (".yaml", ".yml", ".json", ".mat", ".txt")
 PAIRING: Final = (
-    "a folder pairs NAME-depth.png (or .tif, .npy; _ for -) with NAME-mask, NAME-label or NAME-seg (.png, .npy), and with NAME-info, "
-    "or camera_info, intrinsics or meta of all (.yaml, .json, .mat, .txt)"
+    "a folder pairs NAME-depth.png (or .tif, .npy; _ for -) with NAME-color or NAME-rgb (.png, .jpg), with NAME-mask, NAME-label or NAME-seg "
+    "(.png, .npy), and with NAME-info, or camera_info, intrinsics or meta of all (.yaml, .json, .mat, .txt)"
 )
 """The rule of folders, for help texts."""
 
@@ -39,10 +40,12 @@ _MAT_LIMIT: Final = 100_000  # bytes of one that may be compressed, or a text; t
 _MOST_NUMBERS: Final = 1000  # of an array in such a file
 _DEPTH: Final = re.compile(r"(.+)[-_]depth|depth[-_](.+)", re.IGNORECASE)
 _MASKS: Final = ("mask", "label", "labels", "seg", "segmap")
+_COLOURS: Final = ("color", "colour", "rgb")
 _INFOS: Final = ("info", "camera", "camera_info", "camera-info", "intrinsics", "meta")
 _NAMES_OF_K: Final = ("K", "k", "intrinsic_matrix", "intrinsics", "camera_matrix", "cam_K")
 _NAMES_OF_D: Final = ("D", "coeffs", "distortion_coefficients", "distortion_coeffs", "distortion")
 _NAMES_OF_P: Final = ("P", "projection_matrix")
+_NAMES_OF_COLOURS: Final = ("color", "rgb")
 _NAMES_OF_SCALE: Final = ("factor_depth", "depth_scale")
 _COARSEST_M: Final = 0.02  # unit of whole numbers that no camera exceeds
 _UNUSABLE: Final = (
@@ -57,13 +60,14 @@ _UNUSABLE: Final = (
 
 @dataclass(frozen=True, kw_only=True)
 class DepthCamera:
-    """What is known of the camera and the unit of depth images, besides what they state; it goes before that."""
+    """What is known of the camera, the unit and the colours of depth images, besides what they state; it goes before that."""
 
     intrinsics: tuple[float, ...] = ()  # fx, fy, cx, cy [px], without distortion
     info: Path | None = None  # a file with the camera
     scale: float | None = None  # metres per unit
     rectified: bool | None = None  # whether the images are rectified; by default by their names
     info_topic: str = ""  # of the camera infos in a recording
+    color: str | Path = ""  # a file with the colours of the pixels of one image
 
     def __post_init__(self) -> None:
         twice = [name for name in self.stated if name in ("--intrinsics", "--camera-info", "--info-topic")]
@@ -83,6 +87,7 @@ class DepthCamera:
             "--depth-scale": self.scale is not None,
             "--rectified": self.rectified is not None,
             "--info-topic": bool(self.info_topic),
+            "--color": bool(self.color),
         }
         return tuple(name for name, is_given in given.items() if is_given)
 
@@ -97,10 +102,11 @@ class DepthCamera:
         Args:
             path: The file, for messages; its name may say which of several images it is, and whether it is rectified.
             depth: (H, W) whole numbers or floats.
-            facts: What the file states beside it, such as `K`.
+            facts: What the file states beside it, such as `K` or `color`.
 
         Raises:
-            FileError: If no camera is known, or the image is no depth image, or not of the size or unit of the camera.
+            FileError: If no camera is known, or the image is no depth image, or not of the size or unit of the camera, or
+                its colours are none, or of another size.
         """
         stated = _named(facts or {})
         if self.info:
@@ -112,13 +118,27 @@ class DepthCamera:
         try:
             model = self._model(stated, check_image(depth), path.stem)
             scale = self.scale if self.scale is not None else _scale(stated, depth)
-            cloud = Cloud.from_depth(depth, model, scale)
+            cloud = Cloud.from_depth(depth, model, scale, rgb=self._colours(path, model.shape, stated))
         except _UNUSABLE as err:
             where = f" (of the camera in {self.info})" if self.info else ""
             raise FileError(path, f"{err}{where}") from err
         if not np.isfinite(cloud.xyz[..., 2]).any():
             raise FileError(path, f"no pixel of {depth.size} has a depth", field="depth")
         return cloud
+
+    def _colours(self, path: Path, shape: tuple[int, int], stated: Mapping[str, Any]) -> UInt8 | None:
+        """Return the colours (H, W, 3) of the depth image in a file: of `color`, else what the file states."""
+        if self.color:
+            return read_colours(self.color, shape, path)
+        given = _first(stated, _NAMES_OF_COLOURS)
+        if given is None:
+            return None
+        try:
+            colours = as_colours(np.asarray(given))
+            require_size(colours, shape, "`depth`")
+        except CloudError as err:
+            raise FileError(path, str(err), field="color") from err
+        return colours
 
     def require_none(self, path: Path, what: str) -> None:
         """Refuse a source that has no use for what is stated, by a `FileError` that says `what` it is."""
@@ -348,8 +368,9 @@ class Pairs:
 
     masks: dict[Path, Path]  # of depth images
     infos: dict[Path, Path]
+    colours: dict[Path, Path]
     depths: frozenset[Path]
-    others: frozenset[Path]  # masks and files of cameras, which are no inputs
+    others: frozenset[Path]  # masks, colours and files of cameras, which are no inputs
 
     @classmethod
     def of(cls, files: Iterable[Path]) -> "Pairs":
@@ -365,8 +386,9 @@ class Pairs:
             )
             return next(fitting, None)
 
-        masks = {}
-        infos = {}
+        masks: dict[Path, Path] = {}
+        infos: dict[Path, Path] = {}
+        colours: dict[Path, Path] = {}
         depths = set()
         for file in files:
             match = _DEPTH.fullmatch(file.stem)
@@ -374,13 +396,15 @@ class Pairs:
                 continue
             depths.add(file)
             name = match[1] or match[2]
-            mask = first(_names_with(name, _MASKS), MASK_SUFFIXES)
-            if mask is not None:
-                masks[file] = mask
-            info = first([*_names_with(name, _INFOS), *_INFOS], _INFO_SUFFIXES)
-            if info is not None:
-                infos[file] = info
-        return cls(masks, infos, frozenset(depths), frozenset((*masks.values(), *infos.values())))
+            for there, stems, suffixes in (
+                (masks, _names_with(name, _MASKS), MASK_SUFFIXES),
+                (infos, [*_names_with(name, _INFOS), *_INFOS], _INFO_SUFFIXES),
+                (colours, _names_with(name, _COLOURS), COLOUR_SUFFIXES),
+            ):
+                if (found := first(stems, suffixes)) is not None:
+                    there[file] = found
+        others = frozenset((*masks.values(), *infos.values(), *colours.values()))
+        return cls(masks, infos, colours, frozenset(depths), others)
 
 
 def _names_with(name: str, words: Iterable[str]) -> list[str]:

@@ -263,12 +263,13 @@ class CameraInfos:
             return "" if was_told else self._two(place)
         return f"{self._infos}: the camera of {_named(place)} changed to {camera}"
 
-    def cloud(self, message: Any, now_s: float) -> Cloud:
+    def cloud(self, message: Any, now_s: float, rgb: UInt8 | None = None) -> Cloud:
         """Make the cloud of a depth message, raw or compressed, with the frame and stamp of its header.
 
         Args:
             message: A `sensor_msgs/Image` or a `sensor_msgs/CompressedImage`.
             now_s: When it arrived [s], as in `add`.
+            rgb: (H, W, 3) colours of its pixels.
 
         Raises:
             CalibrationError: As `camera`.
@@ -276,7 +277,8 @@ class CameraInfos:
         """
         depth, frame_id = decode_depth(message), message.header.frame_id
         camera = self.camera(frame_id, (depth.shape[0], depth.shape[1]), now_s)
-        return Cloud.from_depth(depth, camera, self._scale, frame_id=frame_id, stamp_ns=stamp_ns(message.header.stamp))
+        stamp = stamp_ns(message.header.stamp)
+        return Cloud.from_depth(depth, camera, self._scale, frame_id=frame_id, stamp_ns=stamp, rgb=rgb)
 
     def camera(self, frame_id: str, shape: tuple[int, int], now_s: float) -> CameraModel:
         """Find the camera of an image.

@@ -24,19 +24,30 @@ _OPTIONAL: Final = ("rgb", "frame_id", "stamp_ns")
 _PER_METRE: Final = {"depth": None, "depth_mm": 1000.0, "depth_m": 1.0}
 """Names of depth images in archives, with their units per metre; `depth` is of the unit that `DepthCamera` says."""
 
-_DEPTH_FACTS: Final = ("K", "intrinsics", "intrinsic_matrix", "camera_matrix", "D", "depth_scale", "factor_depth")
+_DEPTH_FACTS: Final = (
+    "color",
+    "K",
+    "intrinsics",
+    "intrinsic_matrix",
+    "camera_matrix",
+    "D",
+    "depth_scale",
+    "factor_depth",
+)
 _POINT_WIDTH: Final = 8  # numbers of a point in a table
 _FRAME_LIMIT: Final = 256  # characters of a frame's name
 
 
-def read_cloud(path: str | Path, camera: DepthCamera | None = None) -> Cloud:
+def read_cloud(path: str | Path, camera: DepthCamera | None = None, *, color: str | Path | None = None) -> Cloud:
     """Read a cloud, or the depth image of a camera as a cloud.
 
     Args:
         path: `.pcd` (ascii, binary, binary_compressed), `.ply`, `.npz` (`xyz`, and optionally `rgb`, `frame_id`,
             `stamp_ns`) or `.npy`. Coordinates are numbers [m]. Depth images: `.png`, `.tif`, `.npy` of (H, W), and `.npz`
-            with `depth` and perhaps `K` and `depth_scale`.
+            with `depth` and perhaps `K`, `depth_scale` and `color`.
         camera: Of depth images that do not state it.
+        color: File with the colours of the pixels of a depth image: `.png` or `.jpg` with 8 bits a colour, or `.npy` with
+            (H, W, 3) uint8. They become `rgb` of the cloud.
 
     Returns:
         The cloud, organised if it is in the file. Points at (0, 0, 0) are NaN, as all without depth.
@@ -49,6 +60,8 @@ def read_cloud(path: str | Path, camera: DepthCamera | None = None) -> Cloud:
         raise CloudError(
             f"camera: {type(camera).__name__} is not a DepthCamera; Cloud.from_depth(depth, K) takes a matrix"
         )
+    if color is not None:
+        camera = replace(camera or DepthCamera(), color=as_path(color))
     suffix = path.suffix.lower()
     if suffix not in (*_READERS, ".npz", ".npy", *IMAGE_SUFFIXES):
         raise FileError(path, f"the extension is not one of {', '.join((*CLOUD_SUFFIXES, *IMAGE_SUFFIXES))}")

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Assembles labelled samples from messages: the recorder, online adaptation, bag import and monitor all use this.
 
-Input are tactile messages, object clouds, planned grasps, executed grasps and the operator's labels, decoded by rclpy
+Input are tactile messages, object clouds and their tables, planned grasps, executed grasps and the operator's labels, decoded by rclpy
 or by rosbags. Output are samples, or rejected grasps with a reason. Nothing here depends on ROS, and every time is
 given by the caller.
 """
 
-from collections import Counter
+from collections import Counter, OrderedDict
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from foretouch.cloud.messages import decode_objects, read_header
+from foretouch.cloud.messages import decode_plane, read_header
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError
 from foretouch.dataset.pairing.matcher import (
@@ -27,12 +27,14 @@ from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, S
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.messages.table import TactileReader, TactileReading
-from foretouch.types import ASSUMED_TABLE, DISCARDED, Cloud, Float32, Grasp, Outcome, Sample, stamp_ns
+from foretouch.types import DISCARDED, Cloud, Float32, Grasp, Outcome, Plane, Sample, stamp_ns
+from foretouch.types.scene import Object
 
-Role = Literal["tactile", "cloud", "grasps", "executed"]
+Role = Literal["tactile", "cloud", "table", "grasps", "executed"]
 
 _TACTILE_TIMEOUT_S: Final = 1.0
 _CLOUD_TIMEOUT_S: Final = 3.0  # a busy scene may give one object cloud a second
+_TABLES: Final = 10_000  # of the latest clouds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +74,7 @@ class SampleAssembler:
         """Forget clouds and all grasps, planned or executed; tactile readings are kept."""
         pairing = self.config.pairing
         self.clouds = CloudBuffer(pairing.kept_s, pairing.kept_mb)
+        self._tables: OrderedDict[int, tuple[str, Plane]] = OrderedDict()  # frame and plane, by the stamp of the cloud
         self.matcher = GraspTouchMatcher(
             self.readings,
             self.clouds,
@@ -100,7 +103,7 @@ class SampleAssembler:
     # Input.
 
     def add(self, role: Role, message: Any, *, received_ns: int, now_s: float) -> None:
-        """Add a tactile message of the reader's type, a `SerializedCloud`, a `GraspArray` or an `ExecutedGrasp`.
+        """Add a tactile message of the reader's type, a `SerializedCloud`, a `TablePlane`, a `GraspArray` or an `ExecutedGrasp`.
 
         Args:
             role: What its topic holds.
@@ -110,6 +113,7 @@ class SampleAssembler:
 
         Raises:
             TactileError, DatasetError: If a tactile message holds no reading, or a cloud has no header.
+            CloudError: If the numbers of a table are no plane.
         """
         if role == "tactile":
             self.add_tactile(message, received_ns=received_ns, now_s=now_s)
@@ -117,6 +121,8 @@ class SampleAssembler:
             stamp, _ = read_header(message.data)
             self._last_cloud_s = now_s
             self._remove(self.clouds.add(stamp, message, now_s))
+        elif role == "table":
+            self._add_table(message)
         elif role == "grasps":
             self.matcher.add_plan(stamp_ns(message.header.stamp), message.header.frame_id, message.grasps)
         else:
@@ -146,6 +152,13 @@ class SampleAssembler:
                 if episode is not None:
                     self.matcher.add_episode(episode, now_s)
         return accepted
+
+    def _add_table(self, message: Any) -> None:
+        """Keep the plane of a `TablePlane`, unless it says that there is none."""
+        if message.status == 0 and (plane := decode_plane(message.plane)) is not None:
+            self._tables[stamp_ns(message.header.stamp)] = message.header.frame_id, plane
+            while len(self._tables) > _TABLES:
+                self._tables.popitem(last=False)
 
     def _leave_out(self, counts: Float32) -> None:
         """Count a reading without one of the fingers."""
@@ -198,13 +211,14 @@ class SampleAssembler:
     def _labelled(self, match: MatchedGrasp) -> Sample:
         label, executed = match.label or Label(), match.executed
         grasp, candidates, left_out = _grasps(match.plan, executed.grasp_id)
-        cloud = _object_cloud(match.cloud, match.plan.frame_id, grasp)
+        seen = _object_of(match.cloud, match.plan.frame_id, grasp)
         stated = {"clock_offset_s", *self._reader.temperatures}
         self._labelled_clouds.add(match.cloud.stamp_ns)
         return replace(
             match.sample,
             object=label.object or self._object_at(executed.interval.start if executed.interval else 0),
-            cloud=cloud,
+            cloud=seen.cloud,
+            table=self._table_of(seen),
             grasp=grasp,
             stamp_ns=executed.interval.contact if executed.interval else 0,
             extra={name: value for name, value in match.sample.extra.items() if name.removeprefix("tare_") in stated},
@@ -214,16 +228,23 @@ class SampleAssembler:
             flags=(*self._reader.flags, *executed.flags, *match.sample.flags, *([DISCARDED] if label.discard else [])),
         )
 
+    def _table_of(self, seen: Object) -> Plane:
+        """Return the table of an object: its own, or that of a message about its cloud in the same frame."""
+        frame_id, table = self._tables.get(seen.cloud.stamp_ns, ("", seen.plane))
+        return table if seen.plane.assumed and frame_id == seen.cloud.frame_id else seen.plane
+
     def _object_at(self, stamp_ns: int) -> str:
         """Return the label of the object on the table at a time, such as when the hand began to close; by default the first."""
         return next((label for since, label in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
 
     def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> Sample:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)
+        seen = _object_of(cloud, plan.frame_id, grasp)
         return Sample(
             id="",
             object=self._object_at(cloud.stamp_ns),
-            cloud=_object_cloud(cloud, plan.frame_id, grasp),
+            cloud=seen.cloud,
+            table=self._table_of(seen),
             grasp=grasp,
             stamp_ns=cloud.stamp_ns,
             candidates=candidates,
@@ -248,22 +269,20 @@ def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...],
     return grasp, others, "; ".join(f"candidate {name} left out: {fault}" for name, fault in faults.items())
 
 
-def _object_cloud(cloud: BufferedCloud, frame_id: str, grasp: Grasp) -> Cloud:
+def _object_of(cloud: BufferedCloud, frame_id: str, grasp: Grasp) -> Object:
+    """Return the object of a cloud that a grasp in a frame is on; a `PairingError` if it is not known."""
     try:
-        message = cloud.message.decode()
-        objects = decode_objects(message, ASSUMED_TABLE)  # only their clouds are used
+        objects = cloud.message.decode()
     except (CloudError, DatasetError) as err:
         raise PairingError("bad_cloud", str(err)) from err
-    if message.header.frame_id != frame_id:
-        raise PairingError("frame_differs", f"cloud in {message.header.frame_id!r}, grasps in {frame_id!r}")
+    if objects and objects[0].cloud.frame_id != frame_id:
+        raise PairingError("frame_differs", f"cloud in {objects[0].cloud.frame_id!r}, grasps in {frame_id!r}")
     if cloud.message.by_place and objects:
-        return min((candidate.cloud for candidate in objects), key=lambda candidate: _gap(candidate, grasp))
+        return min(objects, key=lambda candidate: _gap(candidate.cloud, grasp))
     object_id = grasp.object_id
     alone = len(objects) == 1  # then it is the object of a grasp without an id too, as for the prediction
     match = [
-        candidate.cloud
-        for candidate in objects
-        if candidate.id == object_id or (alone and "" in (candidate.id, object_id))
+        candidate for candidate in objects if candidate.id == object_id or (alone and "" in (candidate.id, object_id))
     ]
     if len(match) != 1:
         raise PairingError("object_unknown", f"object {object_id!r} is not in the cloud of {cloud.stamp_ns}")

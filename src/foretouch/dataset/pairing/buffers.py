@@ -11,16 +11,15 @@ from bisect import bisect_left, bisect_right
 from collections import Counter, OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import TactileReading
-from foretouch.types import SECOND_NS, Float32, Int64
+from foretouch.types import SECOND_NS, Cloud, Float32, Int64
 from foretouch.types.channels import Channels
+from foretouch.types.scene import Object
 
 _MB = 1_000_000
 _LEAP_NS = SECOND_NS  # a stamp further than this from the newest is a leap; a smaller step back is jitter
@@ -130,7 +129,7 @@ class SerializedCloud:
     """An `object_cloud`, or a message that becomes one, which is decoded only where a sample needs it."""
 
     data: bytes  # the message as CDR
-    decode: Callable[[], Any]  # gives the message
+    decode: Callable[[], tuple[Object, ...]]  # gives its objects, on an assumed table where it is not known
     by_place: bool = False  # whether its labels differ from the grasps', so that the object of a grasp is the nearest
 
     def is_same(self, other: "SerializedCloud") -> bool:
@@ -138,12 +137,17 @@ class SerializedCloud:
         if self.data == other.data:
             return True
         try:
-            mine, theirs = decode_cloud(self.decode()), decode_cloud(other.decode())
-        except (CloudError, DatasetError):
+            pairs = list(zip(self.decode(), other.decode(), strict=True))
+        except (CloudError, DatasetError, ValueError):  # the last of other numbers of objects
             return False
-        return (mine.frame_id, mine.xyz.shape) == (theirs.frame_id, theirs.xyz.shape) and np.allclose(
-            mine.xyz, theirs.xyz, rtol=0.0, atol=_SAME_M, equal_nan=True
-        )
+        return all(_are_same(mine.cloud, theirs.cloud) for mine, theirs in pairs)
+
+
+def _are_same(mine: Cloud, theirs: Cloud) -> bool:
+    """Return whether two clouds have the same points in the same frame, but for rounding."""
+    return (mine.frame_id, mine.xyz.shape) == (theirs.frame_id, theirs.xyz.shape) and np.allclose(
+        mine.xyz, theirs.xyz, rtol=0.0, atol=_SAME_M, equal_nan=True
+    )
 
 
 @dataclass(frozen=True, eq=False)

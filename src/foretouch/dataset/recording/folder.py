@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorded dataset on disk: a manifest, and one MCAP file for each recording session.
 
-Layout, schema version 2 (1 differs in the messages of its samples)::
+Layout, schema version 3 (1 and 2 differ in the messages of their samples)::
 
     dataset/
       manifest.json        format, schema version, hand, camera, version of foretouch, and the sensor if it is no BioTac SP;
@@ -20,7 +20,7 @@ from typing import Any, Final
 from foretouch import __version__
 from foretouch.dataset.files import read_manifest, sealed, sync_folder
 from foretouch.dataset.identity import Identity
-from foretouch.dataset.recording.sample_codec import OLD_VERSION, SCHEMA_VERSION
+from foretouch.dataset.recording.sample_codec import OLD_VERSION, READ_VERSIONS, SCHEMA_VERSION
 from foretouch.errors import FileError
 from foretouch.files import LOCK, PART, lock, open_regular, replace_files, require_schema, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
@@ -56,7 +56,7 @@ def recorded_files(path: Path, *, complete: bool = True) -> list[Path]:
             raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
         return files
     _read_identity(path)
-    if _manifest(path)["schema_version"] != SCHEMA_VERSION:
+    if _manifest(path)["schema_version"] not in READ_VERSIONS:
         raise FileError(path, OLD_VERSION)
     for name in stated(path, SESSIONS):
         if complete and not (path / name).exists():
@@ -130,7 +130,7 @@ def _is_left_over(name: str) -> bool:
 
 
 def _manifest(path: Path) -> dict[str, Any]:
-    return read_manifest(path / _MANIFEST, _FORMAT, _SEAL, SCHEMA_VERSION, 1)
+    return read_manifest(path / _MANIFEST, _FORMAT, _SEAL, *READ_VERSIONS, 1)
 
 
 def _create_manifest(path: Path, identity: Identity, sensor: Sensor) -> None:
@@ -147,8 +147,9 @@ def _create_manifest(path: Path, identity: Identity, sensor: Sensor) -> None:
 
 
 def _require_same(path: Path, identity: Identity, sensor: Sensor) -> None:
-    """Refuse to continue with another hand, camera, sensor or minor version of foretouch; names all differences."""
+    """Refuse to continue with another hand, camera, sensor, schema or minor version of foretouch; names all differences."""
     old, new = _facts(*_read_identity(path), recorded_sensor(path)), _facts(identity, __version__, sensor)
+    old["schema_version"], new["schema_version"] = str(_manifest(path)["schema_version"]), str(SCHEMA_VERSION)
     differences = [
         f"{name}: {old.get(name, 'absent')} there, {new.get(name, 'absent')} here"
         for name in sorted(old.keys() | new.keys())

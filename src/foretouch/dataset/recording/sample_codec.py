@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Encodes a recorded grasp as a message and decodes it, without ROS.
 
-The message is a `foretouch_msgs/GraspSample`, which holds the description of its sensor. Foretouch 0.2 wrote samples of
-version 1, whose touch is of the BioTac SP and states no sensor; `dataset import` converts them, everything else refuses them.
+The message is a `foretouch_msgs/GraspSample`, which holds the description of its sensor. Version 2 of foretouch 0.3 and 0.4 lacks the table,
+which is then not known. Foretouch 0.2 wrote samples of version 1, whose touch is of the BioTac SP and states no sensor; `dataset import` converts them, everything else refuses them.
 
 The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
 
@@ -38,7 +38,7 @@ from foretouch.grasp.messages import decode_grasp, grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, sensor_of
-from foretouch.types import OUTCOMES, Cloud, Grasp, Sample, Touch, TouchSeries, stamp_ns
+from foretouch.types import OUTCOMES, Cloud, Grasp, Plane, Sample, Touch, TouchSeries, stamp_ns
 from foretouch.types.channels import Channels
 
 if TYPE_CHECKING:
@@ -49,13 +49,15 @@ SAMPLE_TYPES: Final = (SAMPLE_TYPE, "foretouch_msgs/msg/TactileSample")  # the s
 SAMPLE_TOPIC: Final = "/foretouch/samples"
 ABOUT: Final = "foretouch"  # name of the metadata with versions, hand and camera
 COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message counts; the last one is valid
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
+READ_VERSIONS: Final = (SCHEMA_VERSION, 2)
 OLD_VERSION: Final = (
     "schema_version: 1 is of foretouch 0.2: convert it with `foretouch dataset import OLD -o NEW` of version 0.3"
 )
 
 _OWN: Final = Path(__file__).parent / "definitions"
 _DIGEST_SIZE: Final = 32
+_EMPTY: Final = bytes(4)  # a field without elements in CDR
 _READINGS: Final = ("touch", "tare", "series")
 _FINITE: Final = (*_READINGS, "others", "extra_values")
 
@@ -135,6 +137,7 @@ def sample_fields(sample: Sample, identity: Identity, sensor: Sensor) -> SimpleN
         foretouch=__version__,
         hand=_properties_text(identity.hand),
         camera=_properties_text(identity.camera),
+        table=np.empty(0) if sample.table is None else sample.table.coefficients,
         sha256=np.zeros(_DIGEST_SIZE, np.uint8),
     )
     _require_finite(message, sensor.channels)
@@ -175,8 +178,8 @@ def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None) -> Sto
         version = _version_in(data)
         if version == 1:
             raise VersionError(OLD_VERSION)
-        require_version(version, SCHEMA_VERSION)
-        message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
+        require_version(version, *READ_VERSIONS)
+        message: Any = sample_types().store.deserialize_cdr(_current(data, version), SAMPLE_TYPE)
         check_id(message.id, message.object)
         stored = stored_sample(message)
     except VersionError:
@@ -201,6 +204,14 @@ def _version_in(data: bytes | memoryview) -> int:
     return int(struct.unpack_from("<H", data, 4 + offset + offset % 2)[0])
 
 
+def _current(data: bytes | memoryview, version: int) -> bytes | memoryview:
+    """Return a serialised sample with the field that version 2 lacks, empty."""
+    if version == SCHEMA_VERSION:
+        return data
+    body = bytes(data[:-_DIGEST_SIZE])
+    return body + bytes(-len(body) % 4) + _EMPTY + bytes(data[-_DIGEST_SIZE:])
+
+
 def stored_sample(message: Any) -> StoredSample:
     """Make the sample of a decoded message, of which `sample_fields` are the fields; raises any error for values that break a rule."""
     sensor = _parse_sensor(message.sensor)
@@ -221,6 +232,7 @@ def stored_sample(message: Any) -> StoredSample:
         detector=message.detector,
         pairing_error_ns=None if message.pairing_error < 0 else message.pairing_error,
         flags=tuple(message.flags),
+        table=Plane(np.array(message.table[:3], np.float64), float(message.table[3])) if len(message.table) else None,
     )
     identity = Identity(hand=_parse_properties(message.hand), camera=_parse_properties(message.camera))
     return StoredSample(sample, identity, sensor)

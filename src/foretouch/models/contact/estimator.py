@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -269,6 +269,8 @@ class ContactEstimator:
     generalisation_gain: Float64
     ranges: Ranges
     surroundings: bool = True
+
+    uses_colours: ClassVar = False
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
         """Predict (K, D) counts of grasps on a cloud, and whether they are in the distribution of training."""

@@ -65,6 +65,11 @@ class NetworkPredictor:
         if twice := [name for name in MODALITIES if outputs.count(name) > 1]:
             raise ModelError(f"outputs: {', '.join(twice)}: predicted by two networks; leave one out")
 
+    @property
+    def uses_colours(self) -> bool:
+        """Whether a network takes the colours of the points."""
+        return any(network.config.channels == "xyz+rgb" for network in self.networks)
+
     @cached_property
     def ranges(self) -> Ranges:
         """Ranges outside which a predicted value is flagged."""

@@ -25,9 +25,6 @@ from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 REFERENCE_CODES: dict[str, int] = {name: code for code, name in enumerate(REFERENCES)}
 """Numbers of references in messages."""
 
-_MAX_OFFSET_M = 1000.0  # of a table from the camera, or more by the largest component of its normal
-_MAX_COEFFICIENT = 1e100  # of a plane
-
 
 def stamp_to_msg(nanoseconds: int) -> Time:
     """Convert a stamp [ns]."""
@@ -80,27 +77,6 @@ def obstacles_from_msg(message: TablePlane) -> Obstacles | None:
     xyz = np.asarray(message.obstacles, np.float32).reshape(-1, 3)
     finite = np.isfinite(xyz).all(axis=1)
     return Obstacles(xyz[finite], ids[finite])
-
-
-def plane_from_msg(message: PlaneMsg) -> Plane | None:
-    """Convert a plane; None for four zeros.
-
-    Raises:
-        CloudError: If a number is not finite, only the normal is zero, or the plane is farther away than any table.
-    """
-    if not np.any(message.coef):
-        return None
-    exact = np.asarray(message.coef, np.float64)
-    scale = float(np.abs(exact[:3]).max())
-    if np.isfinite(exact).all() and scale and not abs(float(exact[3])) / scale <= _MAX_OFFSET_M:
-        raise CloudError(f"plane: {exact.tolist()} is farther away than {_MAX_OFFSET_M:g} m")
-    if np.isfinite(exact).all() and scale > _MAX_COEFFICIENT:  # its square may overflow
-        raise CloudError(f"plane: {exact.tolist()} has a number beyond {_MAX_COEFFICIENT:g}")
-    plane = Plane.from_coefficients(message.coef)
-    if abs(float(np.linalg.norm(exact[:3])) - 1.0) < 1e-12:
-        # A unit normal must stay as it is: dividing it by its length again may change its last bit.
-        return Plane(exact[:3], float(exact[3]))
-    return plane
 
 
 def rotation_to_msg(rotation: Float64) -> Quaternion:

@@ -13,12 +13,12 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
-from foretouch.cloud.messages import decode_objects
+from foretouch.cloud.messages import decode_objects, decode_plane
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, GraspError, LimitError
 from foretouch.grasp import Obstacles
 from foretouch.grasp.messages import STATUSES, decode_grasp, has_orientation
 from foretouch.grasp.pose import joined_faults
-from foretouch.ros.messages.conversions import obstacles_from_msg, plane_from_msg
+from foretouch.ros.messages.conversions import obstacles_from_msg
 from foretouch.ros.messages.placement import Placement, moved_grasp
 from foretouch.types import ASSUMED_TABLE, Float64, Grasp, Grasps, Plane, assumed_table
 from foretouch.types.arrays import Bool, objects
@@ -171,7 +171,7 @@ def read_targets(message: PointCloud2, plane: Plane, limits: ObjectLimits) -> tu
 def read_plane(message: PlaneMsg) -> Plane:
     """Convert a plane; a `RefusalError`, BAD_PLANE, if a number is not finite or all are zero."""
     with _refused_as(Status.BAD_PLANE):
-        plane = plane_from_msg(message)
+        plane = decode_plane(message)
     if plane is None:
         raise RefusalError(Status.BAD_PLANE, "table: holds no plane")
     return plane

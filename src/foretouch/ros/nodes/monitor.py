@@ -31,7 +31,7 @@ from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
-from foretouch.types import ASSUMED_TABLE, Cloud, Sample, stamp_ns
+from foretouch.types import Cloud, Sample, stamp_ns
 from foretouch.types.scene import Object
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
@@ -135,14 +135,15 @@ class MonitorNode(Node):
     def last_drawables(self) -> list[Drawable]:
         """Find the last predictions on an object that the model knows, and on one that it does not, as far as there are such.
 
-        Of executed grasps they are the last before the first touch of an object and the last after it. If none was executed,
+        Of executed grasps they are the last that was predicted after a touch of its object, else the last one. If none was executed,
         they are the newest whose clouds are still kept.
         """
         with self._lock:
             executed = dict(self._executed)
             answers = [] if executed else list(self._drawable)
-        if executed:
-            return [executed[key] for key in sorted(executed)]
+        if executed:  # one that was predicted after a touch comes after one before
+            last = {unfamiliar: executed[unfamiliar, touched] for unfamiliar, touched in sorted(executed)}
+            return list(last.values())
         newest: dict[bool, Drawable] = {}
         for answer in reversed(answers):
             prediction = answer.predictions[0]
@@ -162,7 +163,7 @@ class MonitorNode(Node):
         if object_message is None or object_message.header.frame_id != prediction.header.frame_id:
             return None
         try:
-            objects = decode_objects(object_message, ASSUMED_TABLE)
+            objects = decode_objects(object_message)
             scene = None if scene_message is None else decode_cloud(scene_message)
         except CloudError:
             return None
@@ -192,7 +193,7 @@ class MonitorNode(Node):
                 self._on_touch(message)
 
     def _receive_cloud(self, data: bytes) -> None:
-        self._assemble("cloud", SerializedCloud(data, partial(read_serialized, data, PointCloud2)))
+        self._assemble("cloud", SerializedCloud(data, lambda: decode_objects(read_serialized(data, PointCloud2))))
 
     def _assemble(self, role: Role, message: Any) -> None:
         now_s = time.monotonic()

@@ -73,7 +73,9 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
             super()._setup()
         else:
             self._segmentation = SegmentationStep(self, stream)
-            self._camera = CameraInput(self, self._receive)
+            self._camera = CameraInput(
+                self, self._receive, lambda: self._touch.uses_colours or self._segmentation.shows_colours
+            )
             self.steps = (self._segmentation, *self.steps, self._camera)
 
     def _answer(self, item: Input) -> Answer:
@@ -127,7 +129,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     def _setup(self) -> None:
         self._frames, stream = Frames(self), Stream(stream_config(self.config))
         self._step = SegmentationStep(self, stream)  # before subscribing, so that no answer is lost
-        self._camera = CameraInput(self, self._receive)
+        self._camera = CameraInput(self, self._receive, lambda: self._step.shows_colours)
         self.steps = (self._step, self._camera)
 
     def _answer(self, item: Input) -> Answer:

@@ -44,6 +44,7 @@ from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
 _POLL_S = 0.05
 _ANSWER_S = 5.0  # longest wait for an answer in lockstep
+_TOGETHER_NS = 1_000_000_000  # within which a depth image and its colours are published
 _FRAME = "camera_depth_optical_frame"  # of clouds from files that name none
 
 
@@ -113,6 +114,11 @@ class ReplayConfig(NodeConfig):
     depth_scale: float = setting(
         0.0, "Metres per unit of depth images; 0: their own", bounds=(0.0, 1.0), read_only=True
     )
+    color: str = setting(
+        "",
+        "Colours of depth images: the file of a single one, or a topic of a recording; empty: their own, those that fit",
+        read_only=True,
+    )
     table: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0, 0.0),
         "a, b, c, d of the plane published with `object_cloud`; zeros: below a camera that looks straight down, at the farthest point",
@@ -157,6 +163,7 @@ class ReplayConfig(NodeConfig):
             scale=self.depth_scale or None,
             rectified=self.rectified == "yes" if self.rectified else None,
             info_topic=self.info_topic,
+            color=self.color,
         )
 
 
@@ -178,6 +185,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         self._table: Any = None
         self._answered = threading.Condition()
         self._last_answer_ns = -1
+        self._restamped: dict[int, int] = {}  # new stamps of the latest depth images and colours, by their own [ns]
         super().__init__(**options)
 
     @property
@@ -315,6 +323,8 @@ class ReplayNode(ThreadNode[ReplayConfig]):
             began += pace.length_s
             if self.stopping.wait(max(began - time.monotonic(), 0.0)):
                 return
+        for remark in self._source.remarks:
+            self.get_logger().warning(remark)
         for publisher in self._topic_publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=2.0))
 
@@ -332,7 +342,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
             return False
         data = entry.data
         if entry.stamped and self.config.restamp:
-            data = with_stamp(data, self.get_clock().now().nanoseconds)
+            data = with_stamp(data, self._new_stamp(entry))
         elif entry.stamped and shift_ns:
             data = with_stamp(data, read_header(data)[0] + shift_ns)
         if entry.topic == CLOUDS:
@@ -342,6 +352,19 @@ class ReplayNode(ThreadNode[ReplayConfig]):
             self._topic_publishers[entry.topic].publish(data)
             self.played[entry.topic] += 1
         return True
+
+    def _new_stamp(self, entry: Entry) -> int:
+        """Return the time of now [ns]; of a depth image and its colours, which keep one stamp, that of the first of them."""
+        now_ns = self.get_clock().now().nanoseconds
+        assert self._source is not None  # noqa: S101  setup made it
+        if not self._source.color_topic or entry.topic not in (CLOUDS, self._source.color_topic):
+            return now_ns
+        stamp, _ = read_header(entry.data)
+        if self._restamped.get(stamp, now_ns) < now_ns - _TOGETHER_NS:
+            self._restamped.clear()  # of the round before
+        while len(self._restamped) > _DEPTH:
+            del self._restamped[next(iter(self._restamped))]
+        return self._restamped.setdefault(stamp, now_ns)
 
     def _publish_cloud(self, data: bytes) -> None:
         stamp_ns, frame_id = read_header(data)
@@ -369,6 +392,13 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         classes, self._left_out = playable(source.others, self.get_namespace())
         infos = [other for other in source.others if other.name == source.info_topic]
         classes |= dict.fromkeys(infos, CameraInfo)  # also where this package's camera node was recorded
+        colours = [other for other in source.others if other.name == source.color_topic]
+        for topic in colours:
+            classes[topic] = CompressedImage if topic.type.endswith("CompressedImage") else Image
+            self._left_out.pop(topic.name, None)
+            if source.converted:
+                del classes[topic]
+                self._left_out[topic.name] = "the clouds have its colours"
         for topic, message in classes.items():
             durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
             profile = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=durability)

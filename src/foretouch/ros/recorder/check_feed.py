@@ -9,15 +9,14 @@ from typing import Any
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch.cloud.io.depth_messages import CameraInfos
-from foretouch.cloud.messages import decode_cloud, decode_objects, read_header
+from foretouch.cloud.messages import decode_cloud, decode_objects, decode_plane, read_header
 from foretouch.dataset.session_check import SessionCheck
 from foretouch.errors import ForetouchError
-from foretouch.ros.messages.conversions import plane_from_msg
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderInputs
 from foretouch.ros.runtime.subscription import SerializedMessage
 from foretouch.tactile.messages.table import TactileReader
-from foretouch.types import ASSUMED_TABLE, Cloud
+from foretouch.types import Cloud
 from foretouch_msgs.msg import TablePlane
 
 _IMAGES = (Image, CompressedImage)
@@ -75,10 +74,10 @@ class CheckFeed:
                 if len(self._clouds) > _CLOUDS:
                     self._clouds.popitem(last=False)
             case "table":
-                check.table = plane_from_msg(read_serialized(message.data, TablePlane).plane)
+                check.table = decode_plane(read_serialized(message.data, TablePlane).plane)
             case "cloud":
                 scene = self._clouds.get(read_header(message.data)[0])
-                objects = decode_objects(read_serialized(message.data, PointCloud2), ASSUMED_TABLE)
+                objects = decode_objects(read_serialized(message.data, PointCloud2))
                 if scene is not None and objects:
                     check.scene = self._scene(scene).xyz
                     check.targets = [object_.cloud.xyz for object_ in objects]

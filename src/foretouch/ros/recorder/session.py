@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
 
-from foretouch.cloud.messages import read_header
+from foretouch.cloud.messages import decode_objects, read_header
 from foretouch.dataset.pairing.assembler import Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
@@ -230,7 +230,7 @@ class RecordingSession:
                     self._predictions[read_header(serialized.data)[0]] = serialized.data
                     if len(self._predictions) > _PREDICTIONS:
                         self._predictions.popitem(last=False)
-                case "tactile" | "cloud" | "grasps" | "executed" as role:
+                case "tactile" | "cloud" | "table" | "grasps" | "executed" as role:
                     self._add(role, serialized)
         except FileError:
             raise
@@ -242,7 +242,9 @@ class RecordingSession:
 
     def _add(self, role: Role, serialized: SerializedMessage) -> None:
         decode = partial(read_serialized, serialized.data, self._inputs.topics[serialized.topic].message)
-        message: Any = SerializedCloud(serialized.data, decode) if role == "cloud" else decode()
+        message: Any = (
+            SerializedCloud(serialized.data, lambda: decode_objects(decode())) if role == "cloud" else decode()
+        )
         now_s = time.monotonic()
         with self._assembler_lock:
             self._assembler.add(role, message, received_ns=serialized.received_ns, now_s=now_s)

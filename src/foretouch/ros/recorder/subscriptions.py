@@ -19,7 +19,7 @@ from foretouch.errors import MissingDependencyError
 from foretouch.ros.messages.tactile import TactileInput, message_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.subscription import InputTopic, SerializedMessage
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TABLE_TOPIC
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TopicAccount, TouchPredictionArray
 
 _IMAGES_KEPT: Final = 100  # depth images, or clouds of objects, that may wait in the middleware
@@ -42,7 +42,7 @@ class RecordedTopic(InputTopic):
 
     depth: int = 1000
     raw: bool = True
-    role: Role | Literal["touch", "table", "scene", "info", ""] = ""  # of its messages in samples or checks
+    role: Role | Literal["touch", "scene", "info", ""] = ""  # of its messages in samples or checks
     optional: bool = False  # whether nothing is reported of it until a message arrives
 
 
@@ -56,7 +56,7 @@ def sample_topics(config: TactileInput, *, points: bool) -> list[RecordedTopic]:
     topics = [
         RecordedTopic(config.tactile_topic, message_class(config.tactile.message_type), role="tactile"),
         RecordedTopic(CLOUD_TOPIC, PointCloud2, _IMAGES_KEPT, role="cloud"),
-        RecordedTopic("table", TablePlane, role="table"),
+        RecordedTopic(TABLE_TOPIC, TablePlane, role="table"),
         RecordedTopic(GRASPS_TOPIC, GraspArray, role="grasps"),
         RecordedTopic("touch", TouchPredictionArray, role="touch"),
         RecordedTopic(EXECUTED_TOPIC, ExecutedGrasp, role="executed"),

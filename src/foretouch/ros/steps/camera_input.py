@@ -3,8 +3,13 @@
 
 `depth/image` is a `sensor_msgs/Image` (16UC1, mono16 or 32FC1); remapped to a topic that ends with `/compressedDepth` it is what
 image_transport publishes there. `depth/camera_info` is taken from beside the images, unless it is remapped too.
+
+`color/image` has the colours of the same pixels: a `sensor_msgs/Image`, or remapped to a topic that ends with `/compressed` a
+`CompressedImage`. They are matched with the depth images by their stamps (`ColourImages`), and are decoded only where they are
+drawn, published or used by the model. A depth image is answered with or without them.
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -13,6 +18,7 @@ from typing import Any, Final
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
+from foretouch.cloud.io.colours import TOLERANCE_S, ColourImages
 from foretouch.cloud.io.depth_messages import CameraInfos, decode_depth, info_topic
 from foretouch.cloud.messages import decode_cloud
 from foretouch.config import Settings, setting
@@ -22,15 +28,18 @@ from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
 from foretouch.ros.runtime.subscription import InputTopic
-from foretouch.types import Cloud, stamp_ns
+from foretouch.types import Cloud, UInt8, stamp_ns
 from foretouch.types.camera import DepthImage
 from foretouch.types.cloud import DepthCloud
 from foretouch_msgs.msg import Status
 
 _IMAGE_TOPIC: Final = "depth/image"
 _INFO_TOPIC: Final = "depth/camera_info"
+_COLOUR_TOPIC: Final = "color/image"
 _POINTS_TOPIC: Final = "points"
 _POLL_S: Final = 0.05
+_SILENT_S: Final = 1.0  # without a colour image, after which no depth image waits for one
+_RECENT_S: Final = 5.0  # for which a depth image without its colours is a warning
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +53,17 @@ class CameraInputSettings(Settings):
         read_only=True,
     )
     frames: tuple[str, ...] = setting((), "Accepted frames of the clouds; if empty, every frame that has a name")
+    color_tolerance_s: float = setting(
+        TOLERANCE_S,
+        "Largest difference between the stamps of a depth image and its colours, where none has the same stamp",
+        bounds=(0.0, 1.0),
+        read_only=True,
+    )
+    color_wait_s: float = setting(
+        0.1,
+        "Longest wait of a depth image for its colours, where they are drawn, published or used; then it is answered without",
+        bounds=(0.0, 1.0),
+    )
 
 
 class CameraInput(Step):
@@ -52,11 +72,15 @@ class CameraInput(Step):
     Args:
         node: Subscribes; it must be configuring, and its settings are `CameraInputSettings`.
         receive: Called with each message that is to become a cloud.
+        shows_colours: Returns whether somebody looks at the colours of the clouds now.
     """
 
-    def __init__(self, node: ForetouchNode[Any], receive: Callable[[Any], None]) -> None:
+    def __init__(
+        self, node: ForetouchNode[Any], receive: Callable[[Any], None], shows_colours: Callable[[], bool]
+    ) -> None:
         self._node = node
-        self._changed = threading.Condition()  # guards the infos
+        self._shows_colours = shows_colours
+        self._changed = threading.Condition()  # guards the infos and the colours
         self._last_report = ""  # about an info
         if node.config.input == "points":
             node.subscribe(InputTopic(_POINTS_TOPIC, PointCloud2, latched=None), receive)
@@ -69,6 +93,13 @@ class CameraInput(Step):
         node.subscribe(InputTopic(infos, CameraInfo, latched=None), self._receive_info)
         kind = CompressedImage if images.endswith("/compressedDepth") else Image
         node.subscribe(InputTopic(images, kind, latched=None), receive)
+        self._colours = ColourImages(node.config.color_tolerance_s)
+        self._colour_s = -math.inf  # when the last colour image arrived, `time.monotonic` [s]
+        self._received = 0  # colour images
+        self._colourless_s = -math.inf  # when a depth image was last without its colours, `time.monotonic` [s]
+        colours = node.resolve_topic_name(_COLOUR_TOPIC)
+        kind = CompressedImage if colours.endswith("/compressed") else Image
+        node.subscribe(InputTopic(colours, kind, latched=None), self._receive_colours)
 
     def cloud(self, message: Any) -> Cloud:
         """Make the cloud of a message; waits for the first camera info for three seconds.
@@ -87,16 +118,22 @@ class CameraInput(Step):
             depth = decode_depth(message)
             camera = self._camera(frame, depth.shape)
             image = DepthImage(depth, camera, copy=False)  # a view of the message, which nobody changes any more
-            return DepthCloud.of(image, None, frame, stamp_ns(message.header.stamp))
+            stamp = stamp_ns(message.header.stamp)
+            return DepthCloud.of(image, self._colours_of(frame, image.shape, stamp), frame, stamp)
         except CalibrationError as err:
             raise RefusalError(Status.BAD_CLOUD, f"{err.reason}: {err}") from err
         except CloudError as err:
             raise RefusalError(Status.BAD_CLOUD, str(err)) from err
 
     def diagnose(self, report: Report) -> None:
-        """Repeat what was last logged about a camera info."""
+        """Repeat what was last logged about a camera info, count colours, and say why a depth image has none."""
         if self._last_report:
             report.values["camera_info"] = self._last_report
+        if self._node.config.input == "depth" and self._received:
+            counts = {"received": self._received, **self._colours.counts}
+            report.values |= {f"color.{name}": str(count) for name, count in counts.items()}
+            if time.monotonic() - self._colourless_s < _RECENT_S:
+                report.warnings.append(f"{_COLOUR_TOPIC}: {self._colours.fault}")
 
     def _camera(self, frame: str, shape: Any) -> Any:
         with self._changed:
@@ -107,6 +144,30 @@ class CameraInput(Step):
                     if err.reason != "awaits_camera_info" or self._node.state_name != "active":
                         raise
                 self._changed.wait(_POLL_S)
+
+    def _receive_colours(self, message: Any) -> None:
+        with self._changed:
+            self._colours.add(stamp_ns(message.header.stamp), message)
+            self._colour_s = time.monotonic()
+            self._received += 1
+            self._changed.notify_all()
+
+    def _colours_of(self, frame: str, shape: tuple[int, int], stamp: int) -> UInt8 | None:
+        """Return the colours (H, W, 3) of a depth image, after a wait of `color_wait_s` at most; None without any, or where nobody looks."""
+        if not (self._received and self._shows_colours()):
+            return None
+        until_s, colours = time.monotonic() + self._node.config.color_wait_s, self._colours
+        with self._changed:
+            while not colours.is_final(stamp):
+                now_s = time.monotonic()
+                if now_s >= until_s or now_s - self._colour_s > _SILENT_S:
+                    break
+                self._changed.wait(min(until_s - now_s, _POLL_S))
+            found = colours.match(stamp)
+        decoded = None if found is None else colours.decode(found, frame, shape)
+        if decoded is None:
+            self._colourless_s = time.monotonic()
+        return decoded
 
     def _receive_info(self, message: CameraInfo) -> None:
         with self._changed:

@@ -16,13 +16,13 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.cloud.geometry.limits import ObjectLimits
+from foretouch.cloud.messages import decode_objects
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.matcher import RejectedGrasp
@@ -129,7 +129,7 @@ class OnlineAdapter:
         data = b"" if known else bytes(serialize_message(targets.message()))
         with self._input_lock:
             if not known:
-                message = SerializedCloud(data, partial(deserialize_message, data, PointCloud2))
+                message = SerializedCloud(data, lambda: decode_objects(deserialize_message(data, PointCloud2)))
                 self._assembler.add("cloud", message, received_ns=0, now_s=time.monotonic())
             self._assembler.matcher.add_plan(stamp, header.frame_id, named)
 

@@ -87,6 +87,12 @@ class SegmentationStep(Step):
         self._selection = Selection(node, stream)
         stream.pipeline.segment(warm_up_cloud())
 
+    @property
+    def shows_colours(self) -> bool:
+        """Whether somebody subscribes to what has the colours of the cloud: its points, or the image that is drawn over."""
+        shown = (self._object_cloud, self._overlay)
+        return any(publisher is not None and publisher.get_subscription_count() for publisher in shown)
+
     def configure(self, config: SegmentationSettings) -> None:
         """Use other settings."""
         self._stream.configure(stream_config(config))

@@ -72,6 +72,11 @@ class TouchStep(Step):
         self._touch = node.advertise(TouchPredictionArray, "touch", keep=True)
         self._markers = node.advertise(MarkerArray, "markers")
 
+    @property
+    def uses_colours(self) -> bool:
+        """Whether the model predicts from the colours of the points."""
+        return self.predictor.model is not None and self.predictor.model.uses_colours
+
     def configure(self, config: TouchSettings) -> None:
         """Use other settings; touches with and without a tare cannot be combined, so a change of `use_tare` forgets them."""
         if config.use_tare != self._used_tare:

@@ -169,7 +169,7 @@ def _by_model(model: TouchModel, samples: Sequence[Sample]) -> _Predictions:
     unfamiliar = 0
     for k, sample in enumerate(samples):
         tare = sample.tare if model.calibration is not None else None
-        (prediction,) = model.predict(sample.cloud, [sample.grasp], tare=tare)
+        (prediction,) = model.predict(sample.cloud, [sample.grasp], tare=tare, table=sample.table)
         if not prediction.ok:
             raise ModelError(f"{sample.id}: {prediction.reason}")
         counts[k] = prediction.value.values

@@ -131,7 +131,10 @@ class ContactTrainingConfig(Settings):
 def describe_samples(samples: Sequence[Sample]) -> Float64:
     """Return (S, F) float64 features of each sample's grasp; raises `DatasetError` if a cloud cannot be used."""
     return np.concatenate(
-        [_of(sample, lambda shown: HandFrameFeatures(shown.cloud.xyz).describe([shown.grasp])) for sample in samples]
+        [
+            _of(sample, lambda shown: HandFrameFeatures(shown.cloud.xyz, shown.table).describe([shown.grasp]))
+            for sample in samples
+        ]
     )
 
 

@@ -144,12 +144,14 @@ class ContactLearner(Learner):
 
     def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
         """Write weights, card and calibration, all files or none."""
+        unknown = sum(sample.table is None for sample in self.samples)
         gains = zip(self.sensor.channels.modalities, self._estimator.generalisation_gain, strict=True)
         shares = ", ".join(f"{modality} {value:.2f}" for modality, value in gains)
         limits = [
             *facts.get("limits", []),
             f"Unfamiliar objects get the mean of the training labels and this share of what the kernel predicts beyond it: {shares}.",
             "Without a table the camera is taken to look straight down on it; from a tilted camera the upper side that it does not see is estimated by symmetry.",
+            *([f"{unknown} of {len(self.samples)} training samples hold no table."] if unknown else []),
         ]
         config = self.config.contact.to_mapping()
         if self.sensor.channels != BIOTAC:

@@ -145,7 +145,7 @@ def _calibrated(
         known: Whether a predictor that is given as it is, is known not to be trained on the samples.
     """
     samples = held_out.samples
-    first = held_out.model.estimate(samples[0].cloud, Grasps.of([samples[0].grasp]))
+    first = held_out.model.estimate(samples[0].cloud, Grasps.of([samples[0].grasp]), samples[0].table)
     calibration, held = calibrate_on_folds(samples, labels_of(samples), held_out, seed, split=split, workers=workers)
     limits = _limits(split, given=not held_out.refitted and not known, says=first.familiar is not None)
     source = {"name": data.name, "sha256": data.sha256, "samples": len(samples)}
@@ -203,7 +203,7 @@ def predict_samples(model: TouchModel, samples: Sequence[Sample]) -> Float64:
     counts = np.empty((len(samples), model.sensor.channels.size))
     for k, sample in enumerate(samples):
         try:
-            counts[k] = model.estimate(sample.cloud, Grasps.of([sample.grasp])).counts[0]
+            counts[k] = model.estimate(sample.cloud, Grasps.of([sample.grasp]), sample.table).counts[0]
         except ForetouchError as err:
             raise ModelError(f"{sample.id}: {err}") from err
         if not np.isfinite(counts[k]).all():

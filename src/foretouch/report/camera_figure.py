@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the camera sees: the photograph, or its depth as a shaded relief, with outlines, ids, the grasp and the hand over it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from foretouch.report.hand_figure import draw_boxes, hand_boxes
+from foretouch.report.panels import FINGER_COLOURS, INK, OBJECT_COLOURS, TABLE, TEXT_PT, Axes
+from foretouch.types import Bool, Cloud, Float64, Grasp, UInt8
+from foretouch.types.scene import Object, Scene
+
+_SLIT_PX: Final = 5  # widest gap without depth that an outline passes over
+_LABELS: Final = 40  # objects with an id; more cover the picture
+_SMOOTH_PX: Final = 2.0
+_LIGHT: Final = np.array([-0.45, -0.55, -0.7])  # in the camera's frame, from above to the left
+
+
+def draw_camera(
+    axes: Axes,
+    cloud: Cloud,
+    areas: Mapping[str, Bool],
+    *,
+    colours: Sequence[str] = OBJECT_COLOURS,
+    table: Float64 | None = None,
+    grasp: Grasp | None = None,
+    around: float = 0.33,
+) -> None:
+    """Draw the image of a camera with the outline and id of each object, and a grasp with its hand.
+
+    Args:
+        axes: Where to draw.
+        cloud: An organised cloud.
+        areas: By id, (H, W) which pixels an object has.
+        colours: Of the outlines, in turn.
+        table: (n, 3) corners of the table's outline [m].
+        grasp: The grasp.
+        around: How much is shown on each side of the objects, of their size.
+    """
+    axes.imshow(photograph(cloud))
+    if table is not None and len(table):
+        corners = pixels_of(cloud, table)
+        axes.fill(*corners.T, fill=False, edgecolor=TABLE, linewidth=1.4, linestyle="--")
+    bare = ~np.isfinite(cloud.xyz[..., 2])
+    taken = np.any(list(areas.values()), axis=0) if areas else np.zeros_like(bare)
+    for k, inside in enumerate(areas.values()):
+        colour = colours[k % len(colours)]
+        whole = inside | (without_slits(inside) & bare & ~taken)
+        for width, line in ((3.2, "white"), (1.7, colour)):
+            axes.contour(whole.astype(np.float32), levels=[0.5], colors=line, linewidths=width)
+    for k, (name, inside) in enumerate(areas.items()):
+        if k < _LABELS and inside.any():
+            _name(axes, name, inside, colours[k % len(colours)], grasp)
+    if grasp is not None:
+        _draw_grasp(axes, cloud, grasp)
+    left, right, top, bottom = window_of(taken, around)
+    axes.set(xlim=(left - 0.5, right - 0.5), ylim=(bottom - 0.5, top - 0.5), xticks=[], yticks=[], aspect="equal")
+
+
+def draw_scene_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
+    """Draw the image of a scene with its table and objects."""
+    areas = {object_.id: scene.labels == int(object_.id) for object_ in scene.objects}
+    draw_camera(axes, scene.cloud, areas, table=scene.outline, grasp=grasp)
+
+
+def area_of(target: Object, cloud: Cloud) -> Bool:
+    """Return (H, W) which pixels of an image an object has; its own image may be smaller, as of one that was received."""
+    inside = np.zeros(cloud.xyz.shape[:2], np.bool_)
+    if target.image_shape is not None:
+        inside[np.divmod(target.pixels, target.image_shape[1])] = True
+    return inside
+
+
+def photograph(cloud: Cloud) -> UInt8:
+    """Return (H, W, 3) the colours of an organised cloud; without colours its depth, shaded as a relief, black where there is none."""
+    if cloud.rgb is not None:
+        return np.asarray(cloud.rgb)
+    from scipy.ndimage import gaussian_filter
+
+    depth = cloud.xyz[..., 2].astype(np.float64)
+    known = np.isfinite(depth)
+    if not known.any():
+        return np.zeros((*depth.shape, 3), np.uint8)
+    near, far = np.percentile(depth[known], [1.0, 97.0])
+    weight = gaussian_filter(known.astype(np.float64), _SMOOTH_PX)
+    smooth = gaussian_filter(np.where(known, depth, 0.0), _SMOOTH_PX) / np.maximum(weight, 1e-9)
+    known |= weight > 0.5  # slits
+    points = np.where(known, smooth, np.nan)[..., None] * _rays(cloud)
+    normals = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
+    with np.errstate(invalid="ignore"):
+        normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    light = normals @ (_LIGHT / np.linalg.norm(_LIGHT))
+    dark, bright = np.nanpercentile(light, [2.0, 99.0])
+    light = np.nan_to_num(np.clip((light - dark) / max(bright - dark, 0.9), 0.0, 1.0), nan=0.5)
+    nearness = 1.0 - np.clip((smooth - near) / max(far - near, 0.1), 0.0, 1.0)
+    grey = np.where(known, 50.0 + 195.0 * (0.5 + 0.5 * nearness) * (0.25 + 0.75 * light), 20.0)
+    return np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)
+
+
+def _rays(cloud: Cloud) -> Float64:
+    """Return (H, W, 3) the ray of each pixel, one metre deep, as the fit of `pixels_of` has them."""
+    slopes, starts = _camera(cloud)
+    rows, columns = np.indices(cloud.xyz.shape[:2])
+    x, y = (columns - starts[0]) / slopes[0], (rows - starts[1]) / slopes[1]
+    return np.stack([x, y, np.ones_like(x)], axis=2)
+
+
+def _camera(cloud: Cloud) -> tuple[Float64, Float64]:
+    """Return focal lengths and principal point [px] of (column, row), fitted to the points of an organised cloud."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rays = cloud.xyz[..., :2].astype(np.float64) / cloud.xyz[..., 2:]
+    known = np.isfinite(rays).all(axis=2)
+    fits = [
+        np.polyfit(rays[..., axis][known], index[known].astype(np.float64), 1)
+        for axis, index in enumerate(np.indices(known.shape)[::-1])
+    ]
+    slopes, starts = np.array(fits).T
+    return slopes, starts
+
+
+def pixels_of(cloud: Cloud, points: Float64) -> Float64:
+    """Return (K, 2) columns and rows at which the camera of an organised cloud sees points (K, 3) [m]."""
+    slopes, starts = _camera(cloud)
+    places: Float64 = slopes * points[..., :2] / points[..., 2:] + starts
+    return places
+
+
+def without_slits(inside: Bool) -> Bool:
+    """Return an area without its slits of a few pixels, such as rows without depth of a registered image."""
+    from scipy.ndimage import binary_closing
+
+    padded = np.pad(inside, _SLIT_PX)
+    closed: Bool = binary_closing(padded, np.ones((_SLIT_PX, _SLIT_PX)))[_SLIT_PX:-_SLIT_PX, _SLIT_PX:-_SLIT_PX]
+    return closed
+
+
+def window_of(inside: Bool, around: float = 0.33) -> tuple[int, int, int, int]:
+    """Return first and last column and row of what is shown of an image: all objects, and as much around them."""
+    height, width = inside.shape
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if not len(rows):
+        return 0, width, 0, height
+    margin = max(20, int(around * max(np.ptp(rows), np.ptp(columns))))
+    left, right = max(0, int(columns[0]) - margin), min(width, int(columns[-1]) + margin + 1)
+    top, bottom = max(0, int(rows[0]) - margin), min(height, int(rows[-1]) + margin + 1)
+    return left, right, top, bottom
+
+
+def _name(axes: Axes, name: str, inside: Bool, colour: str, grasp: Grasp | None) -> None:
+    """Write the id of an object on it; above it where a grasp is drawn on it."""
+    rows, columns = np.nonzero(inside)
+    place, lift = (float(np.median(columns)), float(np.median(rows))), 0
+    if grasp is not None and grasp.object_id in ("", name):
+        place, lift = (float(np.median(columns)), float(rows.min())), 9
+    axes.annotate(name, place, (0, lift), textcoords="offset points", color="white", fontsize=TEXT_PT,
+                  fontweight="bold", ha="center", va="center", zorder=6,
+                  bbox={"boxstyle": "round,pad=0.2", "facecolor": colour, "edgecolor": "white", "linewidth": 0.6})  # fmt: skip
+
+
+def _draw_grasp(axes: Axes, cloud: Cloud, grasp: Grasp) -> None:
+    """Draw the boxes of the hand as the camera would see them, and the contacts with their closing line."""
+    for part, boxes in hand_boxes(grasp).items():
+        draw_boxes(axes, pixels_of(cloud, boxes[(boxes[..., 2] > 0.0).all(axis=1)]), part)  # in front of the camera
+    ends = pixels_of(cloud, np.stack([grasp.g1, grasp.g2]))
+    axes.plot(*ends.T, color="white", linewidth=3.2, zorder=5)
+    axes.plot(*ends.T, color=INK, linewidth=1.6, zorder=5)
+    for (u, v), colour in zip(ends, FINGER_COLOURS, strict=False):
+        axes.plot(u, v, "o", color=colour, markeredgecolor="white", markersize=7.5, zorder=5)

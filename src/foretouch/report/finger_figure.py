@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unrolled fingertip: the one drawing of predicted and read taxels in all pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from foretouch.report.panels import FAINT, INK, SKIN, SMALL_PT, TEXT_PT, Axes, finger_colour
+from foretouch.tactile.taxel_view import TaxelView
+from foretouch.types import Bool, Float64, Prediction, Touch
+
+if TYPE_CHECKING:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import FigureBase
+
+_DISC: Final = 0.38  # radius, of the distance between neighbours
+_RING: Final = 0.32  # width of the widest ring, of the same
+_PAD: Final = 0.7  # of the skin beyond the taxels, of the same
+_CIRCLE: Final = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)])
+
+
+class FingerScale:
+    """One scale of colours and of rings, for all fingers of a page.
+
+    A taxel is a disc on the finger's skin, whose colour is its level. The grey ring around a predicted one is as wide as its 90 %
+    interval. A cross marks one that was read outside of its interval, a hollow one is dead.
+
+    Args:
+        view: The sensor.
+        levels: (N,) levels of the taxels of each finger that is drawn.
+        halves: (N,) half widths of their intervals, of those that have some.
+        tared: Whether levels are changes from rest.
+    """
+
+    def __init__(
+        self, view: TaxelView, levels: Sequence[Float64], halves: Sequence[Float64] = (), *, tared: bool
+    ) -> None:
+        from scipy.spatial import cKDTree
+
+        self.view, self.tared = view, tared
+        known = np.concatenate([[], *levels])
+        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+        colours = "magma_r" if tared or view.channel.contact > 0 else "magma"  # dark where contact is strong
+        if tared and not view.channel.contact:  # in both directions from rest
+            most = max(-low, high)
+            low, high, colours = -most, most, "PuOr"
+        self.colours: dict[str, Any] = {"cmap": colours, "clim": (low, high)}
+        self.widest = max((float(half.max()) for half in halves if half.size), default=0.0)
+        self.marks: set[str] = set()  # which marks were drawn
+        self._places = 1e3 * view.sensor.layout.unrolled  # [mm]
+        self._pitch = float(np.median(cKDTree(self._places).query(self._places, 2)[0][:, 1]))
+        self._skin = _skin_around(self._places, self._pitch)
+
+    def draw(
+        self, axes: Axes, finger: int, levels: Float64, *, half: Float64 | None = None, outside: Bool | None = None
+    ) -> None:
+        """Draw one fingertip as its skin is seen from outside, unrolled, with the tip up.
+
+        Args:
+            axes: Where to draw.
+            finger: Index of the finger.
+            levels: (N,) level of each taxel.
+            half: (N,) half widths of their intervals; None for none.
+            outside: (N,) taxels that get a cross; None for none.
+        """
+        colour, valid = finger_colour(finger), self.view.sensor.valid[finger]
+        axes.fill(*self._skin.T, facecolor=SKIN, linewidth=0.0)
+        axes.plot(*self._skin.T, color=colour, linewidth=1.6)  # open where the finger goes on
+        radius = _DISC * self._pitch
+        if half is not None and self.widest > 0.0:
+            ring = radius + _RING * self._pitch * half[valid] / self.widest
+            self._discs(axes, self._places[valid], ring, facecolors=FAINT)
+        discs = self._discs(axes, self._places[valid], radius, edgecolors="white", cmap=self.colours["cmap"])
+        discs.set_array(levels[valid])
+        discs.set_clim(*self.colours["clim"])
+        if not valid.all():
+            self.marks.add("hollow: dead")
+            self._discs(axes, self._places[~valid], radius, facecolors="none", edgecolors=INK)
+        if outside is not None and (outside & valid).any():
+            self.marks.add("×: read outside of its interval")
+            crossed = self._places[outside & valid]
+            axes.plot(*crossed.T, "X", markersize=6.5, color=INK, markeredgecolor="white", markeredgewidth=0.8)
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+        axes.set_anchor("N")
+        axes.margins(0.03)
+
+    @staticmethod
+    def _discs(axes: Axes, places: Float64, radius: Any, **style: Any) -> Any:
+        """Draw circles of a radius [mm] each."""
+        from matplotlib.collections import EllipseCollection
+
+        across = np.broadcast_to(2.0 * np.asarray(radius), len(places))
+        discs = EllipseCollection(across, across, np.zeros(len(places)), units="xy", offsets=places,
+                                  offset_transform=axes.transData, linewidths=0.6, **style)  # fmt: skip
+        return axes.add_collection(discs)
+
+    def add_bar(self, figure: FigureBase, axes: Any, **options: Any) -> None:
+        """Add the scale of colours below axes, with what the marks mean; after the fingers were drawn."""
+        from matplotlib.cm import ScalarMappable
+
+        scale: ScalarMappable = ScalarMappable(cmap=self.colours["cmap"])
+        scale.set_clim(*self.colours["clim"])
+        bar = figure.colorbar(scale, ax=axes, orientation="horizontal", **options)
+        bar.outline.set_visible(False)
+        bar.ax.tick_params(labelsize=SMALL_PT)
+        bar.ax.locator_params(nbins=6)
+        bar.set_label(self.label(), fontsize=SMALL_PT)
+
+    def label(self) -> str:
+        """Return what stands at the scale of colours."""
+        unit = f" {self.view.channel.unit}" if self.view.channel.unit else ""
+        widest = self.view.channel.text(self.widest)
+        ring = [f"grey ring: 90 % interval, the widest ±{widest}{unit}"] if self.widest > 0.0 else []
+        return "\n".join(filter(None, (self.view.label(from_rest=self.tared), "; ".join([*ring, *sorted(self.marks)]))))
+
+
+def _skin_around(places: Float64, pitch: float) -> Float64:
+    """Return (K, 2) the outline of a fingertip around taxels (N, 2), with a round tip, from the left of its lower end to the right [mm]."""
+    from scipy.spatial import ConvexHull
+
+    low, high = places.min(axis=0) - _PAD * pitch, places.max(axis=0) + _PAD * pitch
+    middle, half = (low[0] + high[0]) / 2.0, (high[0] - low[0]) / 2.0
+    tip = [middle, high[1] - 0.6 * half] + _CIRCLE[_CIRCLE[:, 1] >= 0.0] * [half, 0.8 * half]
+    end = [[middle + side * 0.96 * half, low[1] - 0.05 * half] for side in (-1.0, 1.0)]
+    points = np.concatenate([(places[:, None] + pitch * _PAD * _CIRCLE).reshape(-1, 2), tip, end])
+    outline = points[ConvexHull(points).vertices]  # counter-clockwise
+    first = int(np.lexsort((outline[:, 0], outline[:, 1].round(6)))[0])
+    ordered: Float64 = np.roll(outline, -first - 1, axis=0)[::-1]
+    return ordered
+
+
+def finger_levels(
+    view: TaxelView, prediction: Prediction, rest: Touch | None, finger: int
+) -> tuple[Float64, Float64 | None]:
+    """Return (N,) predicted levels of a finger's taxels, and half widths of their intervals; None without."""
+    levels: Float64 = view.levels(prediction.value.values, rest, finger)
+    if not prediction.calibrated:
+        return levels, None
+    columns = view.columns(finger)
+    return levels, (prediction.upper.values[columns] - prediction.lower.values[columns]) / 2.0
+
+
+def title_finger(axes: Axes, scale: FingerScale, finger: int, scalars: str, what: str = "") -> None:
+    """Write above a finger what is shown, if it is said here, which finger it is, and its scalars."""
+    name = scale.view.fingers[finger]
+    title = f"{name}\n{scalars}".rstrip()
+    axes.set_title(title, color=finger_colour(finger), fontsize=SMALL_PT, pad=3.0)
+    if what:
+        axes.annotate(what, (0.5, 1.0), (0.0, 3.0 + (1.5 * title.count("\n") + 1.6) * SMALL_PT), "axes fraction", "offset points", color=INK,
+                      fontsize=TEXT_PT, fontweight="bold", ha="center", va="bottom")  # fmt: skip
