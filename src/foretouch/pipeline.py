@@ -22,7 +22,7 @@ from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, flattened, setting
 from foretouch.errors import CloudError, ConfigError, shown
-from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, plan_grasps, with_rotations
+from foretouch.grasp import CarriedConfig, GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, plan_grasps, with_rotations
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.grasp.unseen import DepthAround
 from foretouch.models import History, TouchModel, load_model
@@ -42,6 +42,7 @@ class PipelineConfig(Summarised, Settings):
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
     hand: HandConfig = HandConfig()
+    object: CarriedConfig = CarriedConfig()
     reach: ReachConfig = ReachConfig()
     model: str = setting("default", MODEL_WORDS, read_only=True)
     predictor: str = setting("", PREDICTOR_WORDS, read_only=True)
@@ -213,6 +214,7 @@ class Pipeline(Summarised):
             held=held,
             hold=hold,
             hand=self.config.hand,
+            carried=self.config.object,
             obstacles=None if target.obstacles is None else target.obstacles.without(target),
             around=DepthAround.of(target) if self.config.grasp.method == "completed" else None,
             object_id=target.id,

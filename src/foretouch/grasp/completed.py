@@ -26,6 +26,7 @@ import numpy as np
 from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.geometry.pcl_filters import cell_means, voxel_grid
 from foretouch.errors import CloudError
+from foretouch.grasp.carry import strain
 from foretouch.grasp.config import HandConfig
 from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
 from foretouch.grasp.hand import UNLIMITED_M
@@ -422,6 +423,17 @@ class CompletedObject:
     def _away(self, along: Float64) -> float:
         """Return how far a vector (3,) goes away from the camera; 0 where that is not known."""
         return float(along @ self._foot) / float(np.linalg.norm(self._foot)) if self._in_view else 0.0
+
+    def strain(self, grasp: Grasp, mass_kg: float, friction: float) -> float:
+        """Compute how much friction a grasp needs to carry the object, over what it has (see `foretouch.grasp.carry`).
+
+        Args:
+            grasp: A grasp, camera frame.
+            mass_kg: Of the object.
+            friction: Coefficient between fingertips and object.
+        """
+        ends = (np.stack([grasp.g1, grasp.g2]) - self._foot) @ self._basis.T
+        return strain(ends, self._xyz, self._weights, mass_kg, friction, self._hand.force_n)
 
     def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
         """Find the direction and the place of the line that is closest to a grasp.

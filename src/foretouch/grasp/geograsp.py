@@ -21,6 +21,7 @@ from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neig
 from foretouch.cloud.timing import timed
 from foretouch.errors import CloudError, FrameError, GraspError
 from foretouch.grasp.axis import find_axis
+from foretouch.grasp.carry import CANNOT_CARRY
 from foretouch.grasp.completed import (
     COMPLETED_POINTS,
     MAY_NOT_FIT,
@@ -31,7 +32,7 @@ from foretouch.grasp.completed import (
     blocking_objects,
     why_no_line,
 )
-from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig
+from foretouch.grasp.config import DEFAULT_HAND, CarriedConfig, GeoGraspConfig, HandConfig
 from foretouch.grasp.frame import object_frame, weigh_points
 from foretouch.grasp.hold import APART_M, HeldGrasp, keep_held
 from foretouch.grasp.outline import SeenOutline
@@ -85,6 +86,7 @@ class PlanOptions(TypedDict, total=False):
     held: HeldGrasp | None
     hold: float  # in units of the score; by default 0
     hand: HandConfig  # what the hand can execute; method "completed" only
+    carried: CarriedConfig  # what is told of the object; method "completed" only
     obstacles: Obstacles | None  # what stands around the object; method "completed" only
     around: DepthAround | None  # the depth image around the object; method "completed" only
 
@@ -238,7 +240,7 @@ def _plan_completed(
             grasps, plan.outdone = keep_held(held, held_score, plan.grasps, options.get("hold", 0.0))
             plan.grasps = grasps[: config.count]
         looked_at = lines is not free or len(plan.grasps) > 1 or held is not None
-        plan.grasps = _flagged(plan.grasps, hand, around if looked_at else None)
+        plan.grasps = _flagged(plan.grasps, completed, around if looked_at else None, options)
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
         plan.status, plan.reason = "ok", f"the best of {counts['n_free']} possible grasps ({counts['n_lines']} tried)"
@@ -249,12 +251,18 @@ def _plan_completed(
         plan.reason = why_no_line(lines, hand, obstacles)
 
 
-def _flagged(grasps: Grasps, hand: HandConfig, around: DepthAround | None) -> Grasps:
-    """Return grasps with the flags of those that may not fit the hand, or have a contact beside pixels without depth."""
+def _flagged(grasps: Grasps, completed: CompletedObject, around: DepthAround | None, options: PlanOptions) -> Grasps:
+    """Return grasps with the flags of those that may not fit the hand, have a contact beside pixels without depth, or cannot carry the object."""
     if not grasps:
         return grasps
-    tight = [way.width_at_most_m > hand.opening for way in grasps.way]
-    beside = len(grasps) * [False] if around is None else around.beside(grasps.g1, grasps.g2) > 0.0
-    marks = {MAY_NOT_FIT: tight, BESIDE_UNSEEN: beside}
+    hand, carried = options.get("hand", DEFAULT_HAND), options.get("carried", CarriedConfig())
+    mass_kg, none = carried.mass_kg, len(grasps) * [False]
+    marks = {
+        MAY_NOT_FIT: [way.width_at_most_m > hand.opening for way in grasps.way],
+        BESIDE_UNSEEN: none if around is None else around.beside(grasps.g1, grasps.g2) > 0.0,
+        CANNOT_CARRY: none
+        if mass_kg is None
+        else [completed.strain(one, mass_kg, carried.friction) > 1.0 for one in grasps],
+    }
     flags = [tuple(flag for flag, which in marks.items() if which[k]) for k in range(len(grasps))]
     return grasps if flags == grasps.flags.tolist() else grasps.replace(flags=objects(flags))

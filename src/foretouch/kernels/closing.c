@@ -593,6 +593,8 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             one[6] = one[7] = 0.0;
             if (n_free && isnan(turns[3 * angle + 2])) {
                 one[6] = fit_palm(&hand, offset, width, top, floor_m, step, &z, one + 7);
+            } else if (isnan(turns[3 * angle + 2])) {
+                z -= LOWER_M < z - floor_m ? LOWER_M : z - floor_m;
             }
             one[2] = z, one[3] = top;
             take_lower(&all, line, (float)((z - tip) / (double)HEIGHT_M), &alongs);

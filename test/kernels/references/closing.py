@@ -105,6 +105,8 @@ def closing_lines(points, weights, n, turns, angles, lines, settings, seen, othe
                 level_m = max(level_m, (top + _round_underside(one, top, lowest, low, high, horizontal)) / 2.0)
             z = max(level_m + shift, level_m / 2.0) if np.isnan(turns[angle, 2]) else turns[angle, 2]
             z = max(min(z, top - tip / 2.0), floor_m)
+            if np.isnan(turns[angle, 2]):
+                z = max(z - 0.006, floor_m)
             above = (z - tip) / HEIGHT_M
             low, high, total = one.ends(above, share)
             if total < 3.0:
