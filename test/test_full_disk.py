@@ -131,3 +131,12 @@ def test_labels_and_clouds_that_do_not_fit_leave_nothing_or_the_file_before(disk
         write_cloud(before, image.cloud())
     assert before.read_bytes() == kept
     assert {path.name for path in disk.iterdir()} == {"ballast", "before.npz"}
+
+
+def test_a_view_that_does_not_fit_is_refused_before_the_disk_is_full(disk: Path, tmp_path: Path, capsys) -> None:
+    pytest.importorskip("rerun", reason="Rerun is not installed")
+    write_cloud(tmp_path / "object.npz", Cloud(np.random.default_rng(1).normal((0, 0, 0.5), 0.02, (900, 3))))
+    assert main(["view", str(tmp_path / "object.npz"), "--save", str(disk / "view.rrd")]) == 1
+    error = capsys.readouterr().err
+    assert "view.rrd: cannot be written: 1 MB of the disk are free, 100 are needed" in error
+    assert list(disk.iterdir()) == []

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from every_case import every_case
 from recording_builders import record
@@ -16,7 +17,7 @@ import foretouch as ft
 
 VALUES: dict[str, Any] = {
     "10^400": 10**400, "text": "x", "None": None, "half a pair": "half \ud800", "complex": 1j, "NaN": float("nan"), "list": [],
-    "object": object(), "array": np.zeros((2, 2)), "negative": -1, "bytes": b"x", "complex numbers": [1j] * 3,
+    "object": object(), "array": np.zeros((2, 2)), "negative": -1, "bytes": b"x", "masked": np.ma.masked, "frame": pd.DataFrame({"a": [1.0]}), "structured": np.zeros(3, [("a", "f4")]), "NaT": np.datetime64("NaT"), "complex numbers": [1j] * 3,
     "large numbers": [10**400] * 3, "matrix of large": [[10**400] * 3] * 3, "Nones": [None] * 3, "fraction": 1.5, "dict": {},
 }  # fmt: skip
 DEPTH = np.full((120, 160), 0.9, np.float32)
@@ -42,6 +43,7 @@ def calls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Callable[[Any],
     rows = {name: np.ones((9, 1 if name[0] == "P" else 24)) for name in model.sensor.channels.modalities}
     arrays = {"object": "a", "id": "b", "values": rows, "rate_hz": 100.0}
     tare = ft.History(model).tare
+    ft.History(model).save(folder / "hand", "right")
     return {
         **{f"Cloud.{name}": lambda v, name=name: ft.Cloud(**{"xyz": points, name: v}) for name in ("xyz", "rgb", "frame_id", "stamp_ns", "camera")},
         **{f"from_depth.{name}": lambda v, name=name: ft.Cloud.from_depth(**{"depth": depth, "K": CAMERA, name: v}) for name in ("depth", "K", "scale", "distortion", "rgb", "frame_id", "stamp_ns")},
@@ -54,7 +56,7 @@ def calls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Callable[[Any],
         "predict.grasps": lambda v: model.predict(target, v), "predict.table": lambda v: model.predict(cloud, [grasp], table=v),
         "predict.history": lambda v: model.predict(target, [grasp], history=v), "History": ft.History,
         "History.hand": lambda v: ft.History(model).save(folder / "hand", v), "open": ft.open, "load_model": ft.load_model,
-        **{f"Predictions.{name}": lambda v, name=name: ft.Predictions(**{"value": touch.values[None], "grasps": [grasp], "channels": touch.channels, name: v}) for name in ("value", "channels", "lower", "upper")},
+        **{f"Predictions.{name}": lambda v, name=name: ft.Predictions(**{"value": touch.values[None], "grasps": [grasp], "channels": touch.channels, name: v}) for name in ("value", "channels", "lower", "upper")},  # noqa: PD011
         **{name: lambda v, name=name: getattr(ft, name)(**{"predictor": model} if name == "calibrate" else {"models": model} if name == "evaluate" else {}, samples=v) for name in ("fit", "evaluate", "calibrate")},
         "draw.grasps": lambda v: ft.draw(scene, v), "draw.touch": lambda v: ft.draw(scene, touch=v), "fit of one": lambda v: ft.fit([v]),
         "read_cloud.camera": lambda v: ft.read_cloud(folder / "c.ply", v), "write_cloud.path": lambda v: ft.write_cloud(v, cloud), "write_cloud": lambda v: ft.write_cloud(folder / "d.ply", v),
@@ -67,6 +69,14 @@ def calls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Callable[[Any],
         **{f"arrays.{name}": lambda v, name=name: write(arrays | {name: v}) for name in ("id", "object", "cloud", "grasp", "tare", "rate_hz", "start_s", "rest", "others", "outcome", "note", "values")},
         **{f"arrays.{name}": lambda v, name=name: write(arrays | {"rate_hz": None, name: v}) for name in ("stamps_ns", "stamps_s")},
         **{f"arrays.{name}.PDC_TH": lambda v, name=name: write(arrays | {name: {"PDC_TH": v}}) for name in ("tare", "others", "values")},
+        "Stream": ft.Stream, "Stream.history": lambda v: ft.Stream(history=v), "Stream.configure": lambda v: ft.Stream().configure(v),
+        "Stream.select": lambda v: ft.Stream().select(v), "Stream.find": lambda v: ft.Stream().find(v), "Stream.answer": lambda v: ft.Stream().answer(v),
+        "Stream.mask": lambda v: ft.Stream().answer(cloud, mask=v), "Stream.plan": lambda v: ft.Stream().plan(v), "Stream.plan of one": lambda v: ft.Stream().plan([v]),
+        "Stream.with_target": lambda v: ft.Stream().with_target(v),
+        **{f"touched.{name}": lambda v, name=name: ft.History(model).touched(**{"target": target, "grasp": grasp, "reading": touch, "stamp_ns": 1, name: v}) for name in ("target", "grasp", "reading", "stamp_ns", "same_object", "estimate", "tdc")},
+        **{f"History.predict.{name}": lambda v, name=name: ft.History(model).predict(**{"target": target, "grasps": [grasp], name: v}) for name in ("target", "grasps", "stamp_ns", "same_object")},
+        "History.load.hand": lambda v: ft.History.load(folder / "hand", model, v), "from_mapping": ft.PipelineConfig.from_mapping, "updated": ft.PipelineConfig().updated,
+        "Pipeline.predict": lambda v: ft.Pipeline().predict(v, [grasp]), "Touch.of": lambda v: ft.Touch.of(v, PDC_TH=1), "Touch.of part": lambda v: ft.Touch.of(touch.channels, PDC_TH=v),
         "subset": samples.subset, "subset of one": lambda v: samples.subset([v]), "filter": samples.filter,
     }  # fmt: skip
 

@@ -3,7 +3,11 @@
 
 import fcntl
 import os
+import re
+import shutil
 import stat
+import subprocess
+import sys
 import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
@@ -12,13 +16,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from every_case import every_case, every_refusal
+from PIL import Image
 from recording_builders import write_dataset
 
+from foretouch.cli.main import main
 from foretouch.cli.output import print_table, warn
+from foretouch.cloud.io.depth_files import camera_facts
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import dump_yaml, load_yaml, parse_overrides
 from foretouch.dataset.editing import drop
 from foretouch.dataset.recording.repair import repair_dataset
+from foretouch.dataset.source import open_source
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import FileBytes, read_bytes, replace_files, require_schema, require_writable
 from foretouch.models.history_keeper import HistoryFile
@@ -186,3 +194,118 @@ def test_shared_memory_of_processes_that_ended_is_freed_and_that_of_others_kept(
         assert stale_bytes(tmp_path) == 0
     left = sorted(path.name for path in tmp_path.iterdir() if not path.name.endswith("_el"))
     assert left == ["fastdds_alive", "fastdds_port7412"]
+
+
+FAILING_DISK = """
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <errno.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+static int fails(int fd) {
+    char link[64], path[4096];
+    snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
+    ssize_t size = readlink(link, path, sizeof path - 1);
+    if (size <= 0) return 0;
+    path[size] = 0;
+    return strstr(path, "/failing/") != 0;
+}
+ssize_t pread64(int fd, void *to, size_t size, off_t at) {
+    ssize_t (*read_at)(int, void *, size_t, off_t) = dlsym(RTLD_NEXT, "pread64");
+    return fails(fd) ? (errno = EIO, -1) : read_at(fd, to, size, at);
+}
+ssize_t pread(int fd, void *to, size_t size, off_t at) { return pread64(fd, to, size, at); }
+ssize_t read(int fd, void *to, size_t size) {
+    ssize_t (*next)(int, void *, size_t) = dlsym(RTLD_NEXT, "read");
+    return fails(fd) ? (errno = EIO, -1) : next(fd, to, size);
+}
+"""
+"""For the loader: the disk below a folder of this name cannot be read, which no file system of a test can show."""
+
+
+def test_a_disk_that_fails_is_told_with_the_name_of_the_file(tmp_path: Path) -> None:
+    if (compiler := shutil.which("cc")) is None:
+        pytest.skip("there is no C compiler")
+    folder, library = tmp_path / "failing", tmp_path / "failing_disk.so"
+    folder.mkdir()
+    (tmp_path / "disk.c").write_text(FAILING_DISK)
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, tmp_path / "disk.c", "-ldl"], check=True)
+    write_dataset(folder / "recorded", 2)
+    for words in ("export --format npz", "build"):
+        assert main(["dataset", *words.split(), str(folder / "recorded"), "-o", str(folder / words[:3])]) == 0
+    for name in (
+        "cloud.ply",
+        "depth.png",
+        "depth.npz",
+        "settings.yaml",
+        "camera.json",
+        "bag.bag",
+        "bag.db3",
+        "bag.db3.zstd",
+    ):
+        (folder / name).write_bytes(b"never read")
+    script = (
+        "import contextlib, io, sys\n"
+        "from foretouch.cli.main import main\n"
+        "for line in sys.stdin.read().splitlines():\n"
+        "    with contextlib.redirect_stdout(io.StringIO()): main(line.split())\n"
+    )
+    clouds = [
+        f"segment {path}"
+        for path in sorted(folder.iterdir())
+        if path.suffix in (".ply", ".png", ".npz", ".bag", ".db3", ".zstd")
+    ]
+    image = tmp_path / "image.png"
+    Image.fromarray(np.full((60, 80), 900, np.uint16)).save(image)
+    sets = [f"dataset info {folder / name}" for name in ("recorded", "recorded/session-0001.mcap", "exp", "bui")]
+    others = [f"segment {folder}/recorded/session-0001.mcap", f"segment {image} --config {folder}/settings.yaml"]
+    lines = [*clouds, *sets, *others, f"segment {image} --camera-info {folder}/camera.json"]
+    done = subprocess.run(
+        [sys.executable, "-c", script], input="\n".join(lines), env=os.environ | {"LD_PRELOAD": str(library)},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    told = done.stderr.splitlines()
+    assert len(told) == len(lines) > 10, done.stderr
+    for line, command in zip(told, lines, strict=True):
+        assert "Input/output error" in line, (command, line)
+        assert str(folder) in line, (command, line)
+
+
+def test_what_a_parser_would_say_is_said_in_words_of_the_user(tmp_path: Path) -> None:
+    (tmp_path / "random.bag").write_bytes(bytes(range(250, 100, -1)) * 9)
+    (tmp_path / "random.db3").write_bytes(bytes(range(250, 100, -1)) * 9)
+    (tmp_path / "text.yaml").write_bytes(b"a: \xff")
+    (tmp_path / "camera.json").write_text('{"fx": 1%s, "fy": 600, "cx": 320, "cy": 240}' % ("0" * 400))
+    (tmp_path / "camera.yaml").write_text(f"K: [1{'0' * 5000}, 1, 1, 1]")
+    np.savez(tmp_path / "secret.npz", depth=np.ones((9, 9), np.uint16), K=np.ones(4))
+    content = bytearray((tmp_path / "secret.npz").read_bytes())
+    for mark, flags in ((b"PK\3\4", 6), (b"PK\1\2", 8)):  # as an archive with a password has them
+        for found in re.finditer(re.escape(mark), bytes(content)):
+            content[found.start() + flags] |= 1
+    (tmp_path / "secret.npz").write_bytes(content)
+    number = "0000 is not a number that can be used"
+    cases = [
+        (r"random\.bag: is no ROS 1 bag: it does not begin as one", open_source, "random.bag"),
+        (r"random\.db3: is no SQLite file: it does not begin as one", open_source, "random.db3"),
+        (r"text\.yaml: byte 3: is no text in UTF-8", load_yaml, "text.yaml"),
+        (
+            rf"camera\.json: holds no camera: is not JSON: 1000.*{number}",
+            lambda path: camera_facts(path, ""),
+            "camera.json",
+        ),
+        (
+            rf"camera\.yaml: holds no camera: not YAML: 1000.*{number}",
+            lambda path: camera_facts(path, ""),
+            "camera.yaml",
+        ),
+        (r"secret\.npz: depth: is encrypted: save it again without a password", read_cloud, "secret.npz"),
+    ]
+    every_refusal(ForetouchError, cases, lambda read, name: read(tmp_path / name))
+
+
+def test_settings_without_a_setting_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "none.yaml").write_text("# grasp.count: 3\n")
+    write_cloud(tmp_path / "object.npz", Cloud(np.random.default_rng(1).normal((0, 0, 0.5), 0.02, (900, 3))))
+    main(["grasp", str(tmp_path / "object.npz"), "--config", str(tmp_path / "none.yaml")])
+    assert f"{tmp_path}/none.yaml: holds no settings: the defaults apply\n" in capsys.readouterr().err

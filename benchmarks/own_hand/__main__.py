@@ -99,7 +99,7 @@ def predicted(model: TouchModel, seen: Sequence, samples: Sequence[Sample], firs
             )
         history.tare(last.tare, stamp_ns=last.stamp_ns - MINUTE_NS)
         same = bool(before) and samples[number - 1].object == last.object
-        results.append(history.snapshot(last.stamp_ns, same_object=same, tare=True).adapt(seen[number]))
+        results.append(history.at(last.stamp_ns, same_object=same, tared=True).adapt(seen[number]))
     return np.array(results)[:, :, 0].swapaxes(0, 1)
 
 

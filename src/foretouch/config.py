@@ -22,8 +22,8 @@ from typing import Any, ClassVar, Final, Self
 
 import yaml
 
-from foretouch.errors import ConfigError, FileError, nearest, none_of, quoted, shown
-from foretouch.files import read_bytes
+from foretouch.errors import ConfigError, FileError, nearest, none_of, quoted, require_type, shown
+from foretouch.files import read_bytes, text_in, whole_number
 
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
 _YAML_BYTES: Final = 100_000  # the largest file of the package has 5000
@@ -80,7 +80,7 @@ _Loader.add_constructor("!empty", lambda *_: EMPTY)
 _Loader.add_constructor(
     "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
 )
-_Loader.add_constructor(_INT, lambda loader, node: int(loader.construct_scalar(node)))
+_Loader.add_constructor(_INT, lambda loader, node: whole_number(loader.construct_scalar(node)))
 for _kind in (_Loader, _Dumper):
     _kind.add_implicit_resolver(_INT, re.compile(r"[-+]?\d+$"), list("-+0123456789"))
     _kind.add_implicit_resolver(_FLOAT, re.compile(_DECIMAL), list("-+.0123456789"))
@@ -215,7 +215,7 @@ def load_yaml(path: str | Path, limit: int = _YAML_BYTES, *, first: bool = False
         ConfigError: If the file cannot be read, is too large or is not a mapping.
     """
     try:
-        document = _parse_yaml(read_bytes(path, limit).decode("utf-8"), first=first)
+        document = _parse_yaml(text_in(path, read_bytes(path, limit)), first=first)
     except FileError as err:
         raise ConfigError(str(err)) from err
     except ValueError as err:
@@ -423,6 +423,8 @@ def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
 
 def _nested(mapping: Mapping[str, Any], source: str) -> dict[str, Any]:
     """Convert dotted keys to nested mappings; of a key that is given in both forms, the later value counts."""
+    where = f"{source}: settings" if source else "settings"
+    require_type(mapping, Mapping, where, "not a mapping of settings by name", ConfigError)
     result: dict[str, Any] = {}
     for key, value in mapping.items():
         path = str(key).split(".")

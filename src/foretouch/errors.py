@@ -87,6 +87,13 @@ class ForetouchError(Exception):
         return _without_init, (type(self), self.args), vars(self)
 
 
+def require_type(value: Any, kind: Any, field: str, rule: str, fault: type[ForetouchError]) -> None:
+    """Refuse an argument of another type: `field: value or its type is rule`."""
+    if not isinstance(value, kind):
+        name = shown(value, 60) if isinstance(value, str | int | float | None) else type(value).__name__
+        raise fault(f"{field}: {name} is {rule}")
+
+
 def _without_init(kind: type[ForetouchError], args: tuple[Any, ...]) -> ForetouchError:
     """Make an error of what it was made of, without its `__init__`, which takes other arguments."""
     return kind.__new__(kind, *args)

@@ -39,6 +39,7 @@ PART: Final = ".part"
 PICTURE_SUFFIXES: Final = (".png", ".pdf", ".svg", ".jpg")
 
 _DEPTH: Final = 64  # levels of lists and objects; no file of the package has more than 8
+_DIGITS: Final = 40  # of a whole number with its sign; states of random generators have 128 bits
 _KINDS: Final = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "FIFO"), (stat.S_ISSOCK, "socket"))
 _AHEAD: Final = 16_384  # bytes that are read at once where less is asked for
 _BLOCK: Final = 1 << 20
@@ -86,9 +87,26 @@ def open_regular(path: str | Path) -> BufferedReader:
     """Open a regular file for reading.
 
     Raises:
-        FileError: If it is absent, may not be read, is a folder, FIFO, socket or device, or no file can have its name.
+        FileError: If it is absent, may not be read, is a folder, FIFO, socket or device, or no file can have its name;
+            also while it is read, if its disk fails.
     """
-    return BufferedReader(FileIO(_descriptor(path, os.O_RDONLY)), _AHEAD)
+    return BufferedReader(_NamedFile(path), _AHEAD)
+
+
+class _NamedFile(FileIO):
+    """A regular file that names itself if its disk fails while it is read."""
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = path
+        super().__init__(_descriptor(path, os.O_RDONLY))
+
+    def readinto(self, buffer: Any) -> int | None:
+        with system_errors(self._path):
+            return super().readinto(buffer)
+
+    def readall(self) -> bytes:
+        with system_errors(self._path):
+            return super().readall()
 
 
 def open_own(path: Path, flags: int) -> int:
@@ -306,6 +324,7 @@ def lock(folder: Path, path: Path | None = None) -> Iterator[None]:
 def as_path(path: Any) -> Path:
     """Return a path that a caller gave; a `FileError` if it is none."""
     with _named(path):
+        os.fsencode(path)
         return Path(path)
 
 
@@ -366,10 +385,18 @@ def read_json(path: str | Path) -> Any:
     return json_in(path, read_bytes(path, TEXT_LIMIT))
 
 
+def text_in(path: str | Path, content: bytes) -> str:
+    """Return the text in the content of a file; a `FileError` if it is not UTF-8."""
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as err:
+        raise FileError(path, "is no text in UTF-8", field=f"byte {err.start}") from err
+
+
 def json_in(path: str | Path, content: bytes) -> Any:
     """Return the document in the content of a file; a `FileError` if it is not JSON that `parse_json` accepts."""
     try:
-        return parse_json(content.decode("utf-8"))
+        return parse_json(text_in(path, content))
     except ValueError as err:
         raise FileError(path, f"is not JSON: {' '.join(str(err).split())}") from err
 
@@ -379,10 +406,10 @@ def parse_json(text: str | bytes) -> Any:
 
     Raises:
         ValueError: If it is not JSON, nests more than 64 levels, or holds half of a surrogate pair, which no file
-            accepts, or NaN, an infinity or a number that becomes one.
+            accepts, or NaN, an infinity or a number that becomes one, or a whole number of more than 39 digits.
     """
     try:
-        document = json.loads(text, parse_constant=_finite, parse_float=_finite)
+        document = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=whole_number)
     except RecursionError:
         raise ValueError(f"more than {_DEPTH} nested levels") from None
     level = [document] if isinstance(document, dict | list) else []
@@ -396,6 +423,13 @@ def parse_json(text: str | bytes) -> Any:
     if (b"\\ud" if isinstance(text, bytes) else "\\ud") in text.lower():  # type: ignore[operator]
         json.dumps(document, ensure_ascii=False).encode()
     return document
+
+
+def whole_number(text: str) -> int:
+    """Return the whole number in a text; a ValueError if it has more than 39 digits."""
+    if len(text) > _DIGITS:
+        raise ValueError(f"{shown(text, 40)} is not a number that can be used")
+    return int(text)
 
 
 def _finite(text: str) -> float:

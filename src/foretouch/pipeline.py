@@ -21,11 +21,11 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig,
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, flattened, setting
-from foretouch.errors import CloudError, ConfigError, shown
+from foretouch.errors import CloudError, ConfigError, require_type, shown
 from foretouch.grasp import CarriedConfig, GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, plan_grasps, with_rotations
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.grasp.unseen import DepthAround
-from foretouch.models import History, TouchModel, load_model
+from foretouch.models import History, Readings, TouchModel, load_model
 from foretouch.models.registry import MODEL_WORDS, PREDICTOR_WORDS
 from foretouch.types import Cloud, Float64, Grasp, Grasps, Plane, Predictions, Touch
 from foretouch.types.cloud import require_cloud
@@ -103,9 +103,8 @@ class Pipeline(Summarised):
     """
 
     def __init__(self, config: PipelineConfig | None = None) -> None:
-        if not isinstance(config, PipelineConfig | None):
-            rule = 'is not a PipelineConfig, such as PipelineConfig().updated({"grasp.count": 3}, "mine")'
-            raise ConfigError(f"config: {type(config).__name__} {rule}")
+        rule = 'not a PipelineConfig, such as PipelineConfig().updated({"grasp.count": 3}, "mine")'
+        require_type(config, PipelineConfig | None, "config", rule, ConfigError)
         self.config = config if config is not None else PipelineConfig()
         self._model: TouchModel | None = None
 
@@ -197,9 +196,7 @@ class Pipeline(Summarised):
         Raises:
             CloudError: If a scene, a cloud or background is passed for the object.
         """
-        if not isinstance(target, Object):
-            rule = "is not an object of a scene, such as segment(cloud).objects[0]; Pipeline().run(cloud, plane) takes one object's points"
-            raise CloudError(f"target: {type(target).__name__} {rule}")
+        require_object(target)
         if target.background:
             raise CloudError(f"target: is background ({target.background}); grasps are planned on objects of a scene")
         return plan_grasps(
@@ -239,7 +236,12 @@ class Pipeline(Summarised):
         return with_rotations(Grasps.of([grasp]), target.cloud, target.plane, self.config.grasp)[0]
 
     def predict(
-        self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: History | None = None
+        self,
+        target: Object,
+        grasps: Sequence[Grasp],
+        *,
+        tare: Touch | None = None,
+        history: History | Readings | None = None,
     ) -> Predictions:
         """Predict touch for each grasp on one object (see `TouchModel.predict`).
 
@@ -252,6 +254,7 @@ class Pipeline(Summarised):
         Returns:
             A row for each grasp, in order.
         """
+        require_object(target)
         model, grasps = self.model, Grasps.of(grasps)
         if not grasps:
             return Predictions.refused(grasps, model.sensor.channels, "refused", "")
@@ -287,3 +290,9 @@ class Pipeline(Summarised):
             with timed(ms, "touch"):
                 results.append(TargetResult(target, plan, self.predict(target, plan.grasps)))
         return PipelineResult.of(scene, results, ms)
+
+
+def require_object(target: Any) -> None:
+    """Refuse what is no object of a scene, with a `CloudError` that says how to get one."""
+    rule = "not an object of a scene, such as segment(cloud).objects[0]; Pipeline().run(cloud, plane) takes one object's points"
+    require_type(target, Object, "target", rule, CloudError)

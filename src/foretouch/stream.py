@@ -14,9 +14,10 @@ import numpy.typing as npt
 from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
+from foretouch.errors import CloudError, ConfigError, ModelError, require_type
 from foretouch.grasp import GraspHold, GraspPlan
 from foretouch.models import History
-from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult, TargetResult
+from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult, TargetResult, require_object
 from foretouch.types import Cloud, Float64
 from foretouch.types.arrays import objects
 from foretouch.types.scene import Object, Scene
@@ -25,6 +26,7 @@ from foretouch.types.summary import Summarised, briefly
 SELECTED: Final = "selected"
 """Flag of predictions on an object that a person selected, and start of the reason."""
 
+_NO_CONFIG: Final = 'not a StreamConfig, such as StreamConfig().updated({"grasp.count": 3}, "mine")'
 _GONE: Final = 30  # clouds in a row without the selected object, after which it is forgotten: 1 s at 30 Hz
 _HOLD_TOLERANCE_M: Final = 0.005
 """Change of position or size that makes it another object, whose grasp is not kept."""
@@ -64,6 +66,8 @@ class Stream(Summarised):
     """
 
     def __init__(self, config: StreamConfig | None = None, history: History | None = None) -> None:
+        require_type(config, StreamConfig | None, "config", _NO_CONFIG, ConfigError)
+        require_type(history, History | None, "history", "not a History", ModelError)
         self.config = StreamConfig() if config is None else config
         self.pipeline = Pipeline(self.config)
         self.history = history
@@ -84,6 +88,7 @@ class Stream(Summarised):
 
         Another `target` ends the selection. Other settings of planner or hand end the grasps that are kept. Ids stay.
         """
+        require_type(config, StreamConfig, "config", _NO_CONFIG, ConfigError)
         before, self.config, self.pipeline.config = self.config, config, config
         if config.target != before.target:
             self.select("")
@@ -94,6 +99,7 @@ class Stream(Summarised):
 
     def select(self, object_id: str) -> None:
         """Make an object the target until it is gone; "" leaves the choice to the rule of `target`."""
+        require_type(object_id, str, "object_id", "not the id of an object, which is a text", CloudError)
         self.selected, self._missing = object_id, 0
         self.note = f"object {object_id}" if object_id else ""
 
@@ -115,9 +121,9 @@ class Stream(Summarised):
         results = []
         with timed(ms, "touch"):
             stamp_ns = cloud.stamp_ns or None
-            history = self.history and self.history.snapshot(stamp_ns, same_object=None, tare=self.history.tared)
             for target, plan in zip(scene.targets, plans, strict=True):
-                results.append(TargetResult(target, plan, self.pipeline.predict(target, plan.grasps, history=history)))
+                read = None if self.history is None else self.history.at(stamp_ns, target)
+                results.append(TargetResult(target, plan, self.pipeline.predict(target, plan.grasps, history=read)))
         return PipelineResult.of(scene, results, ms)
 
     def find(self, cloud: Cloud, *, mask: npt.ArrayLike | None = None) -> Scene:
@@ -134,6 +140,7 @@ class Stream(Summarised):
 
     def with_target(self, scene: Scene) -> Scene:
         """Make the selected object the only target of the scene of `find`, as long as it is there, and remember the target."""
+        require_type(scene, Scene, "scene", "not a Scene, such as `find` returns", CloudError)
         scene = self._selected_in(scene)
         self._previous = scene.targets[0].centroid if len(scene.targets) == 1 else None
         return scene
@@ -149,8 +156,12 @@ class Stream(Summarised):
         """
         pipeline, hold = self.pipeline, self.config.grasp_hold
         held = self._held if hold > 0.0 and self.config.grasp.method == "completed" else None
+        require_type(
+            targets, Sequence, "targets", "not the objects of a cloud, such as those in scene.targets", CloudError
+        )
         plans = []
         for target in targets:
+            require_object(target)
             plan = pipeline.plan(target, held=held.find(target.cloud) if held else None, hold=hold)
             if held is not None and plan.grasps:
                 held.remember(target.cloud, (plan.grasps[0], plan.outdone))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Absent, stalled, unplugged and back again, on the library's own software device."""
 
+import math
 import time
 
 from camera_builders import opened
@@ -36,3 +37,17 @@ def test_an_absent_camera_is_named_and_costs_little_work(source, config) -> None
         assert camera.status.state == "absent"
         for part in ("camera 000000000000: ", "connected", "attempt"):
             assert part in camera.status.reason
+
+
+def test_a_frame_without_a_time_is_counted_and_the_next_one_is_taken(images, config) -> None:
+    stamps = (math.nan, math.inf, -5e9, 1e40, 1.7e18)
+    with opened(config, source := SyntheticCamera(lambda number: (images[number % 3], stamps[number]))) as camera:
+        camera.read(0.0)
+        for _ in range(4):
+            source.feed()
+            assert camera.read(0.1) is None
+        source.feed()
+        frame = camera.read(1.0)
+    assert frame is not None
+    assert frame.stamp_ns == 1_700_000_000_000_000_000
+    assert dict(camera.status.dropped) == {"bad_frame": 4}

@@ -133,7 +133,7 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -
             hand.touched(other.cloud, other.grasp, other.touch, stamp_ns=other.stamp_ns, same_object=True)
         now_ns = max(sample.stamp_ns, others[-1].stamp_ns)
         hand.tare(sample.tare, stamp_ns=now_ns)
-        read = hand.snapshot(now_ns, same_object=True, tare=True)
+        read = hand.at(now_ns, same_object=True, tared=True)
         (wanted,) = core.predict(sample.cloud, [sample.grasp], history=read)
         assert_reported(results[sample.id]["predictions"][0], wanted)
         assert (wanted.reference, results[sample.id]["touched"]) == ("touches", 4)
@@ -158,7 +158,7 @@ def test_a_sample_is_predicted_and_compared_on_the_table_that_it_holds(call, tmp
                 hand.tare(other.tare, stamp_ns=other.stamp_ns)
             seen = Object.of("1", other.cloud, other.table)
             hand.touched(seen, other.grasp, other.touch, stamp_ns=other.stamp_ns, same_object=number > 0)
-        read = hand.snapshot(4 * 10**9, same_object=True)
+        read = hand.at(4 * 10**9, same_object=True)
         (wanted,) = core.predict(Object.of("1", sample.cloud, sample.table), [sample.grasp], history=read)
         assert_reported(answers[0][k], wanted)
         assert flat(answers[1][k], "value") != flat(answers[0][k], "value")
@@ -224,7 +224,7 @@ def test_a_history_is_read_from_a_dataset_or_a_file_in_order_of_time(call, track
     hand, records = hand_after(one, earlier), call(*words).records
     for result, sample in zip(records, samples_of(session), strict=True):
         (found,) = result["predictions"]
-        (wanted,) = one.predict(sample.cloud, [sample.grasp], history=hand.snapshot(sample.stamp_ns, same_object=False))
+        (wanted,) = one.predict(sample.cloud, [sample.grasp], history=hand.at(sample.stamp_ns, same_object=False))
         assert_reported(found, wanted)
         assert (found["reference"], found["evidence"]["readings"]) == ("history", 3)
         assert found["evidence"]["reading_age_s"] > 3000.0

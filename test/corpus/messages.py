@@ -21,7 +21,7 @@ from shape_msgs.msg import Plane
 from foretouch import reading
 from foretouch.cloud.messages import decode_cloud, decode_objects
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
-from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.buffers import SeenObjects
 from foretouch.errors import ForetouchError
 from foretouch.models import load_model
 from foretouch.models.history_keeper import HistoryKeeper
@@ -177,7 +177,7 @@ def predicted() -> Reader:
     def read(request: Any) -> None:
         table = read_plane(request.table[0]) if request.table else None
         found = read_targets(request.cloud, table or ASSUMED_TABLE, config.limits)
-        targets = Targets(request.cloud.header, found, lambda: request.cloud)
+        targets = Targets(request.cloud.header, found)
         posing = config.grasp if table else None
         arrays = len(request.contacts) or len(request.rotations)
         requested = RequestedGrasps.of_arrays(request) if arrays else RequestedGrasps.of_messages(request.grasps)
@@ -208,12 +208,12 @@ class _Hand:
             self.assembler.add("executed", message, received_ns=0, now_s=now_s)
         elif isinstance(message, GraspArray):
             cloud = object_messages()[0]
-            self.adapter.add_grasps(Targets(cloud.header, (), lambda: cloud), message.grasps)
+            self.adapter.add_grasps(Targets(cloud.header, decode_objects(cloud)), message.grasps)
             self.assembler.add("grasps", message, received_ns=0, now_s=now_s)
         elif isinstance(message, PointCloud2):
-            self.adapter.add_grasps(Targets(message.header, (), lambda: message), grasps_message().grasps)
+            self.adapter.add_grasps(Targets(message.header, decode_objects(message)), grasps_message().grasps)
             data = bytes(serialize_message(message))  # as the recorder receives it
-            cloud = SerializedCloud(data, lambda: decode_objects(deserialize_message(data, PointCloud2)))
+            cloud = SeenObjects.of_message(data, lambda: decode_objects(deserialize_message(data, PointCloud2)))
             self.assembler.add("cloud", cloud, received_ns=0, now_s=now_s)
         elif isinstance(message, LabelGrasp.Request):
             self.assembler.matcher.add_label(_decode_label(message), now_s)

@@ -45,7 +45,7 @@ def read(history: History, samples: list[Sample], *, tare: Touch | None = None) 
 
 
 def predict(history: History, sample: Sample, stamp_ns: int = 0, *, same: bool = False) -> Prediction:
-    at = history.snapshot(stamp_ns or sample.stamp_ns, same_object=same)
+    at = history.at(stamp_ns or sample.stamp_ns, same_object=same)
     (found,) = history.model.predict(sample.cloud, [sample.grasp], history=at)
     return found
 
@@ -79,7 +79,7 @@ def test_a_tare_observes_the_sensors_and_is_named(model: TouchModel) -> None:
     history = History(model)
     history.tare(tare, stamp_ns=sample.stamp_ns)
     history.tare(biotac_touch(REST - 40.0), stamp_ns=sample.stamp_ns + 30 * S)  # within a minute of the last one
-    at = history.snapshot(sample.stamp_ns, same_object=False, tare=True)
+    at = history.at(sample.stamp_ns, same_object=False, tared=True)
     (found,) = model.predict(sample.cloud, [sample.grasp], history=at)
     assert_array_equal(found.value.values, tared.value.values)
 

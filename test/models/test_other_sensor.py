@@ -48,7 +48,7 @@ def test_the_history_of_a_hand_goes_on_from_its_file_and_that_of_another_sensor_
     again = History.load(tmp_path / "hand", model)
     asked = [samples[4].grasp]
     (one,), (other,) = (
-        model.predict(samples[4].cloud, asked, history=part.snapshot(9 * 10**9, same_object=True))
+        model.predict(samples[4].cloud, asked, history=part.at(9 * 10**9, same_object=True))
         for part in (history, again)
     )
     np.testing.assert_array_equal(one.value.values, other.value.values)

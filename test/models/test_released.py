@@ -56,7 +56,7 @@ def test_a_history_serves_another_load_of_its_model_and_no_other_model(can, make
     models, grasps = [load_model(), load_model(), load_model("simulated")], make_grasps(2)
     history = History(models[0])
     history.tare(biotac_touch(models[0].calibration.rest.round()), stamp_ns=0)
-    at = history.snapshot(10**9, same_object=False, tare=True)
+    at = history.at(10**9, same_object=False, tared=True)
     own, twin = (model.predict(can, grasps, history=at) for model in models[:2])
     np.testing.assert_array_equal(twin.value, own.value)
     assert twin.reference.tolist() == ["tare", "tare"]

@@ -54,7 +54,7 @@ def read(model: TouchModel, samples: list[Sample]) -> History:
 
 
 def predict(history: History, cloud: Cloud, grasp: Grasp, *, same: bool = True) -> Prediction:
-    at = history.snapshot(SAMPLES[-1].stamp_ns, same_object=same)
+    at = history.at(SAMPLES[-1].stamp_ns, same_object=same)
     (found,) = history.model.predict(cloud, [grasp], history=at)
     return found
 

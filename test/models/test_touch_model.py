@@ -43,7 +43,7 @@ def touched(model: TouchModel, count: int, tare: Touch | None = None) -> History
         if tare is not None:
             history.tare(tare, stamp_ns=sample.stamp_ns)
         history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=True)
-    return history.snapshot(SAMPLES[count].stamp_ns, same_object=True, tare=tare is not None)
+    return history.at(SAMPLES[count].stamp_ns, same_object=True, tared=tare is not None)
 
 
 def bounds(predictions) -> np.ndarray:
@@ -125,7 +125,7 @@ def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() ->
     def check(calibration, cloud: Cloud, group: str) -> None:
         model = TouchModel(small_estimator(), CARD, calibration)
         estimate = small_estimator().estimate(cloud, [sample.grasp])
-        unread = History(model).snapshot(5, same_object=True)
+        unread = History(model).at(5, same_object=True)
         for history in (None, unread):
             (found,) = model.predict(cloud, [sample.grasp], history=history, limits=limits, reach=reach)
             half = calibration.unread_half_widths[group]

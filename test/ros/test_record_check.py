@@ -2,19 +2,22 @@
 """`foretouch record --check` beside a simulated hand and camera: what is wrong is named, and stored with the dataset."""
 
 import json
+import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
+from process_domain import process_environment
 from sim_builders import CAN, SHORT, scene
-from std_srvs.srv import Trigger
 
 from foretouch.dataset.session_check import CHECKS
 
 pytest.importorskip("libusb_package", reason="the camera's libraries are not installed")
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
+ROOT = Path(__file__).parents[2]
 OF_LOAD = {"hand rate", "hand clock", "camera clock"}
 """What a computer may have that is too slow for the simulated camera and hand."""
 
@@ -31,11 +34,10 @@ def test_swapped_and_frozen_fingers_a_clock_offset_and_a_slow_camera_are_named(l
         command = [sys.executable, "-m", "foretouch", "record", "-o", str(tmp_path / "set"), "--check", "--json"]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         with subprocess.Popen(command, env=lone_graph.environment(), **pipes) as process:
-            for line in process.stderr:
-                if "press the" in line:
-                    lone_graph.call(Trigger, "press_th" if "thumb" in line else "press_mf")
+            told = [line for line in process.stderr if "presses its" in line]
             found = [json.loads(line) for line in process.stdout]
         assert process.wait() == 1
+        assert [line.split("presses its ")[1].split()[0] for line in told] == ["thumb", "middle"]
         return {one["name"]: f"{one['found']}; {one['fix']}" for one in found if one["fault"]}
 
     found = check()
@@ -52,3 +54,23 @@ def test_swapped_and_frozen_fingers_a_clock_offset_and_a_slow_camera_are_named(l
     reports = [json.loads(line) for line in (tmp_path / "set" / CHECKS).read_text().splitlines()]
     last = {one["name"]: f"{one['found']}; {one['fix']}" for one in reports[1]["findings"] if one["fault"]}
     assert (len(reports), last) == (2, found)
+
+
+def test_the_check_of_the_page_finds_no_fault_of_the_simulated_hand(tmp_path):
+    page = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
+    commands = re.search(r"On the simulated hand.*?```sh\n(.*?)```", page, re.DOTALL)[1]
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    script = f'foretouch() {{ {sys.executable} -m foretouch "$@"; }}\n' + commands
+    done = subprocess.run(
+        ["bash", "-c", script],
+        check=False,
+        cwd=tmp_path,
+        env=process_environment(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    faults = [line for line in done.stdout.splitlines() if line.startswith("FAULT")]
+    assert "ok    press thumb: TH answered" in done.stdout, done
+    assert "ok    press middle finger: MF answered" in done.stdout
+    assert all(line.split(":")[0].removeprefix("FAULT ") in OF_LOAD | {"camera rate"} for line in faults), faults

@@ -30,7 +30,7 @@ class CameraStatus:
     """The state of a camera at one moment.
 
     Frames are dropped as `missed` (skipped frame numbers: lost before they reached us, or replaced by a newer one) or
-    `bad_frame` (refused by the library).
+    `bad_frame` (refused by the library, or without a time).
     """
 
     state: CameraState = "reconnecting"
@@ -139,9 +139,9 @@ class RealSenseCamera:
         self._last_number = number
         try:
             frame = stream.frame(depth)
-        except RuntimeError as err:
+        except (RuntimeError, CameraError) as err:
             self._drop("bad_frame")
-            self._on_silence(now, f"the library refuses the frame ({' '.join(str(err).split())})")
+            self._on_silence(now, f"no frame that can be used ({' '.join(str(err).split())})")
             return None
         self._heard_s = now
         self._streaming = True

@@ -9,7 +9,7 @@ pace) never ends.
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from foretouch.camera.device import realsense
 from foretouch.errors import CameraError
 from foretouch.types import AnyArray, Cloud
 from foretouch.types.camera import CameraModel
+
+_LATEST_MS: Final = 2**63 / 1e6  # stamps are 64 bits of nanoseconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +73,7 @@ class FrameStream:
         return self._queue.get(timeout_s)
 
     def frame(self, depth: Any) -> DepthFrame:
-        """Copy a depth frame out of the library's memory."""
+        """Copy a depth frame out of the library's memory; a `CameraError` if it has no time that can be used."""
         stamp_ns, image = self._stamp_ns(depth, time.time_ns()), depth.as_depth_frame()
         pixels = np.array(image.get_data())
         return DepthFrame(pixels, image.get_units(), self._camera, self._config.optical_frame, stamp_ns)
@@ -87,7 +89,12 @@ class FrameStream:
         """Hardware clocks count from when the camera was plugged in, so that they are not used by default."""
         is_hardware = depth.get_frame_timestamp_domain() == realsense().timestamp_domain.hardware_clock
         use_arrival = {"frame": False, "arrival": True, "auto": is_hardware}[self._config.stamp]
-        return arrived_ns if use_arrival else round(depth.get_timestamp() * 1e6)  # the library has ms
+        if use_arrival:
+            return arrived_ns
+        stamp_ms = depth.get_timestamp()
+        if not 0.0 <= stamp_ms < _LATEST_MS:
+            raise CameraError(f"stamp: {stamp_ms} ms is no time; camera.stamp `arrival` takes the time of arrival")
+        return round(stamp_ms * 1e6)
 
 
 def library_camera(intrinsics: Any) -> CameraModel:

@@ -23,7 +23,7 @@ from foretouch.types import Float64, Grasp, Predictions, Sample, Touch
 if TYPE_CHECKING:
     from foretouch.models.calibration import Calibration
     from foretouch.models.predictor import Estimate
-    from foretouch.models.touch_model import History, TouchModel
+    from foretouch.models.touch_model import History, Readings, TouchModel
     from foretouch.pipeline import Pipeline
     from foretouch.tactile.description import Sensor
     from foretouch.types.channels import Channels
@@ -69,7 +69,7 @@ class Adaptation:
 
     def _history_of(
         self, touched: Sequence[Sample], tare: tuple[Touch, Float64] | None, sample: Sample | None
-    ) -> History:
+    ) -> Readings:
         """Return the readings of the hand up to the time of a sample, or else until now; touches of its object in any case."""
         from foretouch.models.touch_model import History
 
@@ -85,7 +85,7 @@ class Adaptation:
             now_ns = max(now_ns, touched_sample.stamp_ns)
         if tare is not None:
             hand.tare(tare[0], stamp_ns=now_ns, tdc=tare[1])
-        return hand.snapshot(now_ns, same_object=bool(touched), tare=tare is not None)
+        return hand.at(now_ns, same_object=bool(touched), tared=tare is not None)
 
     def _add(self, hand: History, sample: Sample, stamp_ns: int, *, same_object: bool) -> None:
         """Add a reading; the cloud is looked at once, however many predictions adapt to the reading."""

@@ -16,7 +16,20 @@ if TYPE_CHECKING:
 
 _REST_S = 5.0
 _PRESS_S = 15.0  # longest wait for an answer
+_OFFERED_S = 0.5  # how long a service is looked for
 _SETTLE_S = 1.5  # until a finger that was released is at rest, and the detector has a reference again
+
+
+def press_simulated(node: "RecorderNode", finger: str) -> bool:
+    """Ask the hand to press a finger, such as `TH`; returns whether it is a simulated one, which can."""
+    from std_srvs.srv import Trigger
+
+    client = node.create_client(Trigger, f"press_{finger.lower()}")
+    if client.wait_for_service(_OFFERED_S):
+        client.call_async(Trigger.Request())
+        return True
+    node.destroy_client(client)
+    return False
 
 
 def run_check(node: "RecorderNode", arguments: argparse.Namespace) -> int:
@@ -55,7 +68,10 @@ def _check(node: "RecorderNode", *, as_json: bool) -> list[CheckFinding]:
         report(check.at_rest())
         for finger, name in zip(node.reader.channels.fingers, config.tactile.fingers, strict=True):
             check.pressed.clear()
-            warn(f"press the {finger_label(finger)} ({name}) on its pad, and let it go")
+            if press_simulated(node, finger):
+                warn(f"the simulated hand presses its {finger_label(finger)} ({name})")
+            else:
+                warn(f"press the {finger_label(finger)} ({name}) on its pad, and let it go")
             feed.receive(_PRESS_S, lambda: bool(check.pressed))
             feed.receive(_SETTLE_S)
             check.end_press(finger)

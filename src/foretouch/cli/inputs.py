@@ -224,7 +224,10 @@ def pipeline_config(
     """
     config = PipelineConfig().updated(defaults or {})
     if arguments.config:
-        config = config.updated(load_yaml(arguments.config), arguments.config)
+        stated = load_yaml(arguments.config)
+        if not stated:
+            warn(f"{arguments.config}: holds no settings: the defaults apply")
+        config = config.updated(stated, arguments.config)
     given = {
         "target.mode": getattr(arguments, "target", None),
         "hand.name": getattr(arguments, "hand", None),

@@ -27,6 +27,7 @@ PACKED: Final = ".zstd"
 """End of the names of files that were compressed as a whole."""
 
 _ZSTD: Final = bytes.fromhex("28b52ffd")  # with which no CDR begins
+_BEGINNINGS: Final = {".bag": ("ROS 1 bag", b"#ROSBAG V"), ".db3": ("SQLite file", b"SQLite format 3")}
 _RATIO: Final = 100  # of a file that is compressed as a whole; images of depth reach 20
 _LEAST: Final = 32_000_000  # bytes that any file may unpack to
 _MESSAGE: Final = 200_000_000  # bytes of a message or chunk: an image of 4096x4096 points has as many
@@ -140,11 +141,20 @@ def open_storage(file: Path, stack: ExitStack) -> Any:
             f"was not closed, and holds messages in {journal.name}: `sqlite3 {file} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
         )
         raise FileError(file, cure)
+    _require_beginning(opened, file)
     with known_failures(file):
         if opened.suffix == ".bag":
             return _open_ros1(opened, stack)
         _check_sqlite(opened, file)
         return stack.enter_context(Ros2Reader(opened))
+
+
+def _require_beginning(opened: Path, file: Path) -> None:
+    """Refuse what does not begin as a recording of its suffix; `file` is its name for the message."""
+    kind, beginning = _BEGINNINGS[opened.suffix]
+    with open_regular(opened) as content:
+        if content.read(len(beginning)) != beginning:
+            raise FileError(file, f"is no {kind}: it does not begin as one")
 
 
 def _open_ros1(file: Path, stack: ExitStack) -> Any:
@@ -208,8 +218,8 @@ def known_failures(path: Path, position: str | None = None) -> Iterator[None]:
         yield
     except FileError:
         raise
-    except PermissionError as err:
-        raise FileError(path, err.strerror or "may not be read", field=position) from err
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err), field=position) from err
     except Exception as err:
         cause = " ".join(str(err).split())
         if not type(err).__module__.startswith("rosbags"):

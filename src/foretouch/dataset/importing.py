@@ -21,7 +21,7 @@ from foretouch.dataset.bag import Message, Recording, is_recording
 from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.identity import Identity
 from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
-from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.buffers import SeenObjects
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
@@ -164,10 +164,10 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
             continue
         role = roles[message.topic]
         now_s = max(now_s, message.bag_time_ns * 1e-9) if live else 0.0  # otherwise grasps wait until the end
-        cloud = role == "cloud"
         decode = partial(_objects_in, bag, message, infos if beside else None)
-        content = SerializedCloud(message.data, decode, by_place=bool(beside)) if cloud else bag.content(message)
+        content = None if role == "cloud" else bag.content(message)
         try:
+            content = content or SeenObjects.of_message(message.data, decode, by_place=bool(beside))
             assembler.add(role, content, received_ns=message.bag_time_ns, now_s=now_s)
         except (TactileError, DatasetError, CloudError):
             result.left_out[f"unreadable {message.topic}"] += 1

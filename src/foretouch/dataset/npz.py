@@ -131,7 +131,9 @@ def recognise(path: Path) -> bool:
     first = next(iter(_files(path)), None)
     try:
         return first is not None and bool(read_arrays(first, ["id", "g1"], []))
-    except FileError:
+    except FileError as err:
+        if isinstance(err.__cause__, OSError):
+            raise
         return False
 
 

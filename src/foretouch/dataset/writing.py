@@ -75,7 +75,7 @@ def write(
     for name, facts_given in (("hand", hand), ("camera", camera)):
         if not isinstance(facts_given, Mapping | None):
             raise DatasetError(f'{name}: {shown(facts_given)} is not a mapping, such as {{"name": "mine"}}')
-    if not isinstance(samples, Iterable):
+    if not isinstance(samples, Iterable) or getattr(samples, "ndim", None) == 0:
         raise DatasetError(f"samples: {type(samples).__name__} is neither a dataset, such as open(PATH), nor a list")
     if isinstance(samples, SampleSet):
         own = samples.sensor

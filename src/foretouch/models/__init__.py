@@ -5,6 +5,6 @@ Importing this imports no torch.
 """
 
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
-from foretouch.models.touch_model import History, TouchModel
+from foretouch.models.touch_model import History, Readings, TouchModel
 
-__all__ = ["DEFAULT_MODEL", "History", "TouchModel", "available_models", "load_model"]
+__all__ = ["DEFAULT_MODEL", "History", "Readings", "TouchModel", "available_models", "load_model"]

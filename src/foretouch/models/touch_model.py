@@ -13,13 +13,24 @@ import copy
 import time
 import traceback
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
-from foretouch.errors import CloudError, FileError, ForetouchError, ModelError, TactileError, described, shown
+from foretouch.errors import (
+    CloudError,
+    FileError,
+    ForetouchError,
+    ModelError,
+    TactileError,
+    described,
+    require_type,
+    shown,
+)
 from foretouch.files import as_path, read_bytes, replace_files, system_errors
 from foretouch.grasp.axis import with_rotations
 from foretouch.grasp.config import GeoGraspConfig
@@ -50,6 +61,8 @@ SIMILAR_TOUCHES: Final = "similar_touches"
 NO_TABLE: Final = "assumed_table"
 """Flag of predictions without a table: they hold if the camera looked straight down."""
 
+_NO_MODEL: Final = "not a TouchModel, such as load_model()"
+_NO_CHOICE: Final = "not True, False or None"
 _TRACKER: Final = "tracker/"
 _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tares share would be counted as many
 
@@ -162,7 +175,7 @@ class TouchModel(Summarised):
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
-        history: "History | None" = None,
+        history: "History | Readings | None" = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
         reach: ReachConfig = DEFAULT_REACH,
         table: Plane | None = None,
@@ -177,7 +190,7 @@ class TouchModel(Summarised):
             grasps: In the cloud's frame. Rotations that are not given, as in `Grasps(g1, g2)`, are computed as the planner
                 does; this needs the table.
             tare: A reading without contact, taken shortly before, of a hand of which nothing else was read.
-            history: Readings of the hand so far, which include tares; `tare` must be omitted.
+            history: Readings of the hand so far, which include tares; `tare` must be omitted. Of a `History` those `at` now.
             limits: Range and size of objects.
             reach: Of the hand.
             table: In the cloud's frame; of an object of a scene its own. Without one the camera is taken to look straight
@@ -200,11 +213,12 @@ class TouchModel(Summarised):
         if history is not None:
             if tare is not None:
                 raise ModelError("history: has tares and touches of its own")
-            if not isinstance(history, History):
+            if not isinstance(history, History | Readings):
                 raise ModelError(f"history: {type(history).__name__} is not a History")
             self._calibrated()
             if not self.is_same(history.model):
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
+            history = history.at(None, cloud) if isinstance(history, History) else history
         flags = cloud.flags if isinstance(cloud, Object) else ()
         cloud, own_table = _cloud_and_table(cloud)
         if table is not None and not isinstance(table, Plane):
@@ -212,15 +226,14 @@ class TouchModel(Summarised):
                 f"table: {type(table).__name__} is not a Plane, such as Plane.from_coefficients([a, b, c, d])"
             )
         table = table or own_table
-        if history is not None and history.same_object is None:
-            same = history.is_current(cloud, _SAME_OBJECT_M)
-            history = history.snapshot(history.stamp_ns, same_object=same, tare=history.tared, tdc=history.tdc)
         check_object(cloud.xyz, limits)
         columns = with_rotations(Grasps.of(grasps), cloud, table, _POSING)
         faults = _faults(columns, cloud, reach.max_width_m, reach.max_distance_m)
         usable = np.array([not fault for fault in faults], np.bool_)
         graspable = columns if usable.all() else columns.take(usable)
-        predictions = self._predict(cloud, graspable, tare, history, table)  # a useless cloud is named first
+        estimate = self.estimate(cloud, graspable, table)  # a useless cloud is named first
+        read = history if tare is None else self.after_tare(tare)
+        predictions = self._adapted(graspable, estimate, read)
         predictions = predictions.flagged(OFF_OBJECT, in_the_air(graspable, cloud.xyz))
         if table is None or table.assumed:
             predictions = predictions.flagged(NO_TABLE)
@@ -233,20 +246,11 @@ class TouchModel(Summarised):
             predictions = predictions.flagged(flag, np.array([flag in own for own in columns.flags]))
         return flag_equal_pressures(predictions, self)
 
-    def _predict(
-        self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: "History | None", table: Plane | None
-    ) -> Predictions:
-        """Return predictions for executable grasps."""
-        estimate = self.estimate(cloud, grasps, table)
-        if tare is not None:
-            history = History(self)
-            history.tare(tare, stamp_ns=0)
-            history = history.snapshot(0, same_object=False, tare=True)
-        if history is not None and history.evidence.readings:
-            read = (*history.adapt(estimate), history.reference, history.evidence)
-            similar = history.compares_places and estimate.where is not None
-            predictions = self._predictions(grasps, estimate, *read)
-            return predictions.flagged(SIMILAR_TOUCHES) if similar else predictions
+    def _adapted(self, grasps: Grasps, estimate: Estimate, read: "Readings | None") -> Predictions:
+        """Return the predictions of an estimate of executable grasps, adapted to what the hand has read."""
+        if read is not None and read.evidence.readings:
+            predictions = self._predictions(grasps, estimate, *read.adapt(estimate), read.reference, read.evidence)
+            return predictions.flagged(SIMILAR_TOUCHES, read.compares_places and estimate.where is not None)
         half = None
         if self.calibration is not None:
             half = np.where(
@@ -308,6 +312,20 @@ class TouchModel(Summarised):
     def rest(self) -> Touch | None:
         """Reading without contact, as the sensors of the training had it; None of a model without a calibration."""
         return None if self.calibration is None else Touch(self.calibration.rest, self.sensor.channels)
+
+    def after_tare(self, tare: Touch) -> "Readings":
+        """Return what is known of a hand of which nothing but a reading without contact was read, taken shortly before.
+
+        Args:
+            tare: The reading.
+
+        Raises:
+            ModelError: If the model has no calibration.
+            TactileError: If the tare is of another sensor, or not a reading of working sensors.
+        """
+        hand = History(self)
+        hand.tare(tare, stamp_ns=0)
+        return hand.at(0, same_object=False)
 
     def tare_offset(self, tare: Touch) -> Float64:
         """Compute the difference of a tare from the rest level of the model.
@@ -417,6 +435,52 @@ def place_and_size(cloud: Cloud) -> Float64:
     return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
 
 
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What a hand had read at a time, for predictions on one object; of `History.at`."""
+
+    model: TouchModel  # by whose predictions the readings are explained
+    tracker: SensorTracker
+    time_ns: int  # of the predictions [ns]
+    same_object: bool  # whether they are on the object that was touched last
+    tared: bool  # whether a tare was taken shortly before
+    tdc: Float64 | None = None  # (F,) TDC of the fingers at that time [counts]; the latest one if None
+
+    def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
+        """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
+        counts, half = np.empty((2, *estimate.counts.shape))
+        for known in (False, True):
+            rows = estimate.known == known
+            if rows.any():
+                level = self.tracker.level(self.time_ns, same_object=self._touched, known=known, tdc=self.tdc)
+                where = None if estimate.where is None else estimate.where[rows]
+                counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows], where)
+        return counts, half
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """Numbers and ages of the readings."""
+        return self.tracker.evidence(self.time_ns, same_object=self._touched)
+
+    @property
+    def reference(self) -> Reference:
+        """The strongest of the readings."""
+        if self._touched:
+            return "touches"
+        if self.tared:
+            return "tare"
+        return "history" if self.evidence.readings else "none"
+
+    @property
+    def compares_places(self) -> bool:
+        """Whether places on the object are compared with its earlier touches."""
+        return self.same_object and self.tracker.similar.enough
+
+    @property
+    def _touched(self) -> bool:
+        return self.same_object and self.tracker.touches > 0
+
+
 class History(Summarised):
     """What the fingertips of one hand have read so far, of whatever object. Use it in one thread at a time.
 
@@ -433,32 +497,25 @@ class History(Summarised):
         tracker: What the readings say about the sensors and the current object.
         signature: Frame and `place_and_size` of the current object at its last touch; None before its first.
         restarts: How often each finger was restarted, since its readings showed a jump or another sensor.
-        stamp_ns: Time of the predictions that are made from it [ns]; now if None.
-        same_object: Whether they are for the object that was touched last; None for by place and size.
-        tared: Whether a tare was taken after the last touch.
-        tdc: (F,) TDC of the fingers at that time [counts]; the latest one if None.
     """
 
     def __init__(self, model: TouchModel) -> None:
-        if not isinstance(model, TouchModel):
-            raise ModelError(f"model: {shown(model)} is not a TouchModel, such as load_model()")
+        require_type(model, TouchModel, "model", _NO_MODEL, ModelError)
         self.model = model
         self.tracker = model.new_tracker()
         self.signature: tuple[str, Float64] | None = None
         self.restarts: dict[str, int] = {}
         self._tare_ns = -1
         self._forgotten = 0
-        self.tared = False
-        self.stamp_ns: int | None = None
-        self.same_object: bool | None = None
-        self.tdc: Float64 | None = None
+        self._tared = False  # whether a tare was taken after the last touch
 
     def _summary(self) -> tuple[str, dict[str, str]]:
-        evidence = self.evidence
+        read = self.at()
+        evidence = read.evidence
         ages = {"touch": evidence.touch_age_s, "reading": evidence.reading_age_s}
         return f"{counted(evidence.readings, 'reading')}, {self.touches} of the object", {
             "model": briefly(self.model),
-            "reference": self.reference,
+            "reference": read.reference,
             "last": names_of([f"{name} {age:.0f} s ago" for name, age in ages.items() if age is not None]),
             "restarted": names_of([f"{finger} {count}" for finger, count in self.restarts.items()]),
         }
@@ -485,10 +542,10 @@ class History(Summarised):
         stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
         tdc = _checked_tdc(tdc, self.model)
         if self._tare_ns >= 0 and isinstance(stamp_ns, int) and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
-            self.tared = True
+            self._tared = True
             return ()
         restarted = self.tracker.add_tare(stamp_ns, self.model.tare_offset(reading), tdc=tdc)
-        self._tare_ns, self.tared = stamp_ns, True
+        self._tare_ns, self._tared = stamp_ns, True
         return self._counted(restarted)
 
     def touched(
@@ -522,6 +579,8 @@ class History(Summarised):
             GraspError: If no hand can execute the grasp.
         """
         cloud, table = _cloud_and_table(target)
+        require_type(same_object, bool | np.bool_ | None, "same_object", _NO_CHOICE, ModelError)
+        require_type(estimate, Estimate | None, "estimate", "not an Estimate of this model", ModelError)
         same = self.is_current(cloud, _SAME_OBJECT_M) if same_object is None else same_object
         values = self.model.usable_values(reading, "touched")
         tdc = _checked_tdc(tdc, self.model)
@@ -533,7 +592,7 @@ class History(Summarised):
         stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
         restarted = self.tracker.add_touch(stamp_ns, values, estimate.counts[0], tdc=tdc, where=where)
         self.signature = cloud.frame_id, place_and_size(cloud)
-        self.tared = False
+        self._tared = False
         return self._counted(restarted)
 
     def predict(
@@ -558,64 +617,40 @@ class History(Summarised):
         Raises:
             CloudError: If the cloud cannot be used.
         """
-        history = self.snapshot(stamp_ns, same_object=same_object, tare=self.tared)
-        return self.model.predict(target, grasps, history=history)
+        return self.model.predict(target, grasps, history=self.at(stamp_ns, target, same_object=same_object))
 
-    def snapshot(
-        self, stamp_ns: int | None, *, same_object: bool | None, tare: bool = False, tdc: Float64 | None = None
-    ) -> Self:
-        """Return a history of the same readings, for predictions at a time. Later readings do not change it.
+    def at(
+        self,
+        stamp_ns: int | None = None,
+        target: Cloud | Object | None = None,
+        *,
+        same_object: bool | None = None,
+        tared: bool | None = None,
+        tdc: Float64 | None = None,
+    ) -> Readings:
+        """Return the readings so far, for predictions on an object at a time. Later readings do not change them.
 
         Args:
             stamp_ns: Time of the predictions [ns]; now if None.
-            same_object: Whether they are for the current object, else for one that was not touched; None for by place and size.
-            tare: Whether a tare was taken shortly before.
+            target: The object, or its cloud; None for the one that was touched last.
+            same_object: Whether it is the one that was touched last; by default by place and size.
+            tared: Whether a tare was taken shortly before; by default since the last touch.
             tdc: (F,) TDC at that time [counts]; where it is not known, the latest one counts.
+
+        Raises:
+            CloudError: If the target is neither an object nor a cloud.
         """
-        history = self.copy()
-        history.stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
-        history.same_object = same_object
-        history.tared = tare
-        history.tdc = tdc
-        return history
-
-    def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
-        """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
-        counts, half = np.empty((2, *estimate.counts.shape))
-        for known in (False, True):
-            rows = estimate.known == known
-            if rows.any():
-                level = self.tracker.level(self._time_ns, same_object=self._touched, known=known, tdc=self.tdc)
-                where = None if estimate.where is None else estimate.where[rows]
-                counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows], where)
-        return counts, half
-
-    @property
-    def evidence(self) -> Evidence:
-        """Numbers and ages of the readings."""
-        return self.tracker.evidence(self._time_ns, same_object=self._touched)
-
-    @property
-    def reference(self) -> Reference:
-        """The strongest of the readings."""
-        if self._touched:
-            return "touches"
-        if self.tared:
-            return "tare"
-        return "history" if self.evidence.readings else "none"
-
-    @property
-    def compares_places(self) -> bool:
-        """Whether places on the object are compared with its earlier touches."""
-        return self.same_object is not False and self.tracker.similar.enough
-
-    @property
-    def _touched(self) -> bool:
-        return self.same_object is not False and self.touches > 0
-
-    @property
-    def _time_ns(self) -> int:
-        return time.time_ns() if self.stamp_ns is None else self.stamp_ns
+        require_type(same_object, bool | np.bool_ | None, "same_object", _NO_CHOICE, ModelError)
+        if same_object is None:
+            same_object = target is None or self.is_current(_cloud_and_table(target)[0], _SAME_OBJECT_M)
+        return Readings(
+            self.model,
+            self.tracker.copy(),
+            time.time_ns() if stamp_ns is None else stamp_ns,
+            same_object,
+            self._tared if tared is None else tared,
+            tdc,
+        )
 
     def save(self, path: str | Path, hand: str = "") -> None:
         """Write everything read so far to a file.
@@ -646,9 +681,9 @@ class History(Summarised):
             FileError: If the file is absent or damaged, or of another version, sensor, hand or model.
             ModelError: If the model has no calibration.
         """
-        if not isinstance(model, TouchModel):
-            raise ModelError(f"model: {shown(model)} is not a TouchModel, such as load_model()")
+        require_type(model, TouchModel, "model", _NO_MODEL, ModelError)
         path = as_path(path)
+        require_type(hand, str | None, "hand", "not a name", ModelError)
         model.new_tracker()  # a model without a calibration is named before the file
         tensors = unpack_history(path, hand, model.name, model.sensor.channels)
         try:

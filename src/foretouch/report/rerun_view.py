@@ -10,7 +10,8 @@
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,8 +19,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.errors import ForetouchError, MissingDependencyError
-from foretouch.files import open_own, part_of, require_replaceable
+from foretouch.errors import FileError, ForetouchError, MissingDependencyError
+from foretouch.files import open_own, part_of, require_replaceable, system_errors
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.tactile.channels import BIOTAC_SP, LAYER_M, skin_axes
 from foretouch.tactile.description import Sensor
@@ -27,6 +28,7 @@ from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Prediction, Touch
 
 _COLOURS: Final = ((240, 115, 130), (60, 190, 205))  # at g1, at g2
+_LEAST_FREE: Final = 100_000_000  # bytes of a disk, of which no step takes more
 _DEAD: Final = (128, 128, 128, 90)
 _TARGET, _OTHER = (60, 160, 80), (150, 150, 150)
 _CANDIDATE: Final = (120, 120, 120)
@@ -85,16 +87,30 @@ def write_view(path: Path, steps: Iterable[ViewStep], title: str, sensor: Sensor
         recording = rerun.RecordingStream("foretouch")
         recording.save(part)
         recording.send_recording_name(title)
-        written = _Writer(rerun, recording, TaxelView(sensor)).write(steps)
+        written = _Writer(rerun, recording, TaxelView(sensor)).write(_with_room(path, steps))
         recording.flush()
         recording.disconnect()
         if not written:
             raise ForetouchError(f"{title}: there is nothing to show")
         part.replace(path)
+    except RuntimeError as err:  # of Rerun's writer
+        raise FileError(path, f"cannot be written, is the disk full? {' '.join(str(err).split())}") from err
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
     return written
+
+
+def _with_room(path: Path, steps: Iterable[ViewStep]) -> Iterator[ViewStep]:
+    """Iterate over steps while the disk has room for one; Rerun's writer may wait for ever at a full one."""
+    for step in steps:
+        with system_errors(path):
+            free = shutil.disk_usage(path.parent).free
+        if free < _LEAST_FREE:
+            raise FileError(
+                path, f"cannot be written: {free // 10**6} MB of the disk are free, {_LEAST_FREE // 10**6} are needed"
+            )
+        yield step
 
 
 class _Writer:

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import CloudError, quoted, shown
+from foretouch.errors import CloudError, quoted, require_type, shown
 from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8, numbers, scalar, unmasked
 from foretouch.types.camera import CameraModel, DepthImage, as_image, check_image
 from foretouch.types.summary import Summarised
@@ -150,10 +150,7 @@ class Cloud(Summarised):
 
 def require_cloud(cloud: object) -> None:
     """Refuse what is no cloud, such as an array, with a `CloudError`."""
-    if not isinstance(cloud, Cloud):
-        raise CloudError(
-            f"cloud: {type(cloud).__name__} is not a Cloud, such as Cloud.from_depth(depth, K) or Cloud(xyz)"
-        )
+    require_type(cloud, Cloud, "cloud", "not a Cloud, such as Cloud.from_depth(depth, K) or Cloud(xyz)", CloudError)
 
 
 class DepthCloud(Cloud):

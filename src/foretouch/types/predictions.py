@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Final, Literal, NamedTuple, Self, overload
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ForetouchError, TactileError, shown
+from foretouch.errors import ForetouchError, TactileError, require_type, shown
 from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain
 from foretouch.types.channels import NO_CHANNELS, Channel, Channels
 from foretouch.types.grasps import Grasp, Grasps
@@ -24,7 +24,7 @@ UNKNOWN_FRAME: Final = "unknown_frame"
 """Flag of the answer to a request in another frame than the graph's clouds, where no transform is known."""
 
 
-_NO_CHANNELS: Final = "channels: {} is not Channels, such as model.sensor.channels"
+_NO_CHANNELS: Final = "not Channels, such as model.sensor.channels"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,8 +39,7 @@ class Touch(Summarised):
     channels: Channels  # what they are
 
     def __post_init__(self) -> None:
-        if not isinstance(self.channels, Channels):
-            raise TactileError(_NO_CHANNELS.format(type(self.channels).__name__))
+        require_type(self.channels, Channels, "channels", _NO_CHANNELS, TactileError)
         values = numbers(self.values, "touch", TactileError)
         if values.shape != (self.channels.size,):
             raise TactileError(f"touch: shape {values.shape} is not ({self.channels.size},) of {self.channels.sensor}")
@@ -58,6 +57,7 @@ class Touch(Summarised):
         Raises:
             TactileError: If a part is unknown, missing, given twice, or of another shape.
         """
+        require_type(channels, Channels, "channels", _NO_CHANNELS, TactileError)
         values, given = np.full(channels.size, np.nan), np.zeros(channels.size, np.bool_)
         for name, part in parts.items():
             array = numbers(part, name, TactileError)
@@ -149,8 +149,7 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "value", numbers(self.value, "value", TactileError))
-        if not isinstance(self.channels, Channels):
-            raise TactileError(_NO_CHANNELS.format(type(self.channels).__name__))
+        require_type(self.channels, Channels, "channels", _NO_CHANNELS, TactileError)
         for name in ("lower", "upper"):
             if numbers(getattr(self, name), name, TactileError).ndim == 0:
                 object.__setattr__(self, name, np.full(np.shape(self.value), np.nan))

@@ -184,7 +184,7 @@ def _after_reading(model: TouchModel, sample: Sample, grasps: Sequence[Grasp]) -
         now = hand.copy()
         now.tracker.add_touch(1, reading, expected)
         estimate = model.estimate(sample.cloud, grasps[:count], sample.table)
-        return now.snapshot(2, same_object=True).adapt(estimate)[0]
+        return now.at(2, same_object=True).adapt(estimate)[0]
 
     return answer
 

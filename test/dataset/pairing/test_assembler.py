@@ -11,7 +11,7 @@ from pair_builders import SECOND, interval, stream
 
 from foretouch.cloud.messages import cloud_fields, decode_objects
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
-from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.buffers import SeenObjects
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.sample_codec import Definitions
@@ -54,7 +54,8 @@ class Session:
         """Add the cloud of a grasp, taken at a time [ns]."""
         message = cloud_fields(Cloud(np.full((5, 3), number + 1, np.float32), frame_id="camera", stamp_ns=at))
         data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2"))
-        self.assembler.add("cloud", SerializedCloud(data, lambda: decode_objects(message)), received_ns=0, now_s=0.0)
+        seen = SeenObjects.of_message(data, lambda: decode_objects(message))
+        self.assembler.add("cloud", seen, received_ns=0, now_s=0.0)
 
     def table(
         self, number: int, coef: list[float], frame_id: str = "camera", status: int = 0, late_ns: int = 0

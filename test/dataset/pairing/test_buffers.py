@@ -7,7 +7,7 @@ import numpy as np
 from pair_builders import NONE, PERIOD, REST, SECOND, T0
 
 from foretouch.cloud.messages import cloud_fields, decode_objects
-from foretouch.dataset.pairing.buffers import CloudBuffer, SerializedCloud, TouchBuffer
+from foretouch.dataset.pairing.buffers import CloudBuffer, SeenObjects, TouchBuffer
 from foretouch.tactile.messages.table import TactileReading
 from foretouch.types import Cloud
 
@@ -21,10 +21,10 @@ def kept(buffer: TouchBuffer) -> list[int]:
     return buffer.between(0, 2**62).stamps_ns.tolist()
 
 
-def cloud(data: bytes, x: float | None = None) -> SerializedCloud:
+def cloud(stamp: int, data: bytes, x: float | None = None) -> SeenObjects:
     """A message of these bytes with points at an x [m], by default the first byte."""
     xyz = np.full((5, 3), data[0] if x is None else x, np.float32)
-    return SerializedCloud(data, lambda: decode_objects(cloud_fields(Cloud(xyz, frame_id="lens"))))
+    return SeenObjects(stamp, lambda: decode_objects(cloud_fields(Cloud(xyz, frame_id="lens"))), len(data), data)
 
 
 def test_order_is_that_of_the_stamps_and_memory_is_bounded_in_time_and_in_number(monkeypatch) -> None:
@@ -73,26 +73,26 @@ def test_wrong_stamps_are_left_out_a_clock_set_back_forgets_and_accepted_reading
 
 def test_the_oldest_clouds_go_and_the_same_message_twice_is_one_but_two_of_one_stamp_neither() -> None:
     clouds = CloudBuffer(kept_s=10.0, kept_mb=1.0)
-    assert clouds.add(1, cloud(b"a"), 0.0) == clouds.add(2, cloud(b"b"), 9.0) == []
-    assert [gone.stamp_ns for gone in clouds.add(3, cloud(b"c"), 10.5)] == [1]
+    assert clouds.add(cloud(1, b"a"), 0.0) == clouds.add(cloud(2, b"b"), 9.0) == []
+    assert [gone.stamp_ns for gone in clouds.add(cloud(3, b"c"), 10.5)] == [1]
     assert clouds.get(1) is None
-    assert clouds.get(2).message.data == b"b"
+    assert clouds.get(2).seen.data == b"b"
     clouds = CloudBuffer(kept_s=1e6, kept_mb=1.0)
-    gone = [one.stamp_ns for k in range(10) for one in clouds.add(k, cloud(bytes(300_000)), 0.0)]
+    gone = [one.stamp_ns for k in range(10) for one in clouds.add(cloud(k, bytes(300_000)), 0.0)]
     assert gone == list(range(7))
     assert (len(clouds), clouds.bytes) == (3, 900_000)
     assert [one.stamp_ns for one in clouds.clear()] == [7, 8, 9]
     assert (len(clouds), clouds.bytes) == (0, 0)
     clouds = CloudBuffer(10.0, 1.0)
-    clouds.add(1, cloud(b"a"), 0.0)
-    for again in (cloud(b"a"), cloud(b"b", ord("a")), cloud(b"b", ord("a") + 1e-6), cloud(b"a", 1.0)):
-        clouds.add(1, again, 0.1)  # the same bytes, or the same points, if rounded
+    clouds.add(cloud(1, b"a"), 0.0)
+    for data, x in ((b"a", None), (b"b", ord("a")), (b"b", ord("a") + 1e-6), (b"a", 1.0)):
+        clouds.add(cloud(1, data, x), 0.1)  # the same bytes, or the same points, if rounded
         assert not clouds.get(1).ambiguous
-    clouds.add(1, cloud(b"b"), 0.2)
+    clouds.add(cloud(1, b"b"), 0.2)
     assert clouds.get(1).ambiguous
     short = cloud_fields(Cloud(np.zeros((5, 3), np.float32), frame_id="lens"))
-    unreadable = SerializedCloud(b"c", lambda: decode_objects(SimpleNamespace(**{**vars(short), "width": 7})))
-    clouds.add(2, cloud(b"d"), 0.2)
-    clouds.add(2, unreadable, 0.2)
+    unreadable = SeenObjects(2, lambda: decode_objects(SimpleNamespace(**{**vars(short), "width": 7})), 1, b"c")
+    clouds.add(cloud(2, b"d"), 0.2)
+    clouds.add(unreadable, 0.2)
     assert clouds.get(2).ambiguous
     assert clouds.bytes == 2

@@ -9,7 +9,7 @@ import pytest
 from every_case import every_case
 from pair_builders import SECOND, Named, interval, level, stream
 
-from foretouch.dataset.pairing.buffers import CloudBuffer, SerializedCloud, TouchBuffer
+from foretouch.dataset.pairing.buffers import CloudBuffer, SeenObjects, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError
 from foretouch.dataset.pairing.matcher import ExecutedGrasp, GraspTouchMatcher, Label, MatchedGrasp, RejectedGrasp
 from foretouch.dataset.pairing.sensors import ContactEpisodes
@@ -45,7 +45,7 @@ class Session:
     def plan(self, number: int, name: str | None = None) -> int:
         """A cloud and its grasps, half a second before the hand begins to close; gives the stamp."""
         stamp = interval(number).start - SECOND // 2
-        self.clouds.add(stamp, SerializedCloud(f"cloud {number}".encode(), partial(seen, 0.0)), 0.0)
+        self.clouds.add(SeenObjects(stamp, partial(seen, 0.0), 60, f"cloud {number}".encode()), 0.0)
         self.matcher.add_plan(stamp, "camera", [Named(name or f"g-{number}"), Named(f"{name or f'g-{number}'} second")])
         return stamp
 
@@ -75,7 +75,7 @@ def _check_pairs(seed: int) -> None:
     assert len(linked) >= 0.9 * len(set(known) & set(reported))
     for one in linked:
         number = int(one.executed.grasp_id.removeprefix("g-"))
-        assert one.cloud.message.data == f"cloud {number}".encode()
+        assert one.cloud.seen.data == f"cloud {number}".encode()
         # The nearest wrong touch is 10 counts away in every electrode and 20 in PDC.
         assert np.abs(one.sample.touch.values - level(number)).max() < 5.0
     reasons = [result.reason for result in results if isinstance(result, RejectedGrasp)]
@@ -120,8 +120,8 @@ def test_reports_that_are_repeated_unplanned_ambiguous_or_of_a_lost_cloud_are_re
     world.plan(1, "same")
     world.report(1, "same")
     stamp = world.plan(2)
-    other = SerializedCloud(b"another", partial(seen, 1.0))
-    world.clouds.add(stamp, other, 0.0)
+    other = SeenObjects(stamp, partial(seen, 1.0), 60, b"another")
+    world.clouds.add(other, 0.0)
     world.report(2)
     assert world.reasons() == ["grasp_ambiguous", "cloud_ambiguous"]
     unknown = Session(1)

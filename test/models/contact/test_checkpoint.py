@@ -51,7 +51,7 @@ def everything(model: TouchModel) -> np.ndarray:
     for sample in SAMPLES[:3]:
         history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=True)
     found = []
-    for adapted in ({}, {"tare": TARE}, {"history": history.snapshot(SAMPLES[3].stamp_ns, same_object=True)}):
+    for adapted in ({}, {"tare": TARE}, {"history": history.at(SAMPLES[3].stamp_ns, same_object=True)}):
         for sample in SAMPLES[5::8]:
             (one,) = model.predict(sample.cloud, [sample.grasp], **adapted)
             found += [one.value.values, one.lower.values, one.upper.values]

@@ -158,7 +158,7 @@ def test_nothing_is_played_before_subscribers_are_there_but_the_wait_has_a_limit
     logged = capfd.readouterr().err
     assert "waits for a subscriber of /foretouch/others" in logged
     assert "plays after 1.2 s, still without a subscriber of /foretouch/others" in logged
-    with pytest.raises(ConfigError, match="wait_for"):
+    with pytest.raises(ConfigError, match="wait_for: 'a b' is not the name of a topic"):
         start(graph, path, wait_for=["a b"])._setup()
 
 

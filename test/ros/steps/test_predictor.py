@@ -17,7 +17,7 @@ from foretouch.ros.messages.placement import Placement
 from foretouch.ros.messages.requests import RefusalError, RequestedGrasps, Targets, requested_targets
 from foretouch.ros.steps.predictor import Predictor
 from foretouch.ros.steps.touch_settings import TouchSettings
-from foretouch.types import ASSUMED_TABLE, Predictions
+from foretouch.types import ASSUMED_TABLE
 from foretouch.types.scene import Object
 from foretouch_msgs.msg import Status
 
@@ -49,7 +49,7 @@ def test_service_topic_and_python_answer_alike() -> None:
     assert expected.status.tolist() == ["ok", "ok", "bad_grasp", "ok", "bad_grasp"]
     assert ["off_object" in flags for flags in expected.flags] == [False, False, False, True, False]
     header = objects_to_msg([SEEN], "cam", 0).header
-    targets = Targets(header, (SEEN,), lambda: objects_to_msg([SEEN], "cam", 0))
+    targets = Targets(header, (SEEN,))
     arrays = SimpleNamespace(
         contacts=np.hstack([grasps.g1, grasps.g2]).ravel(),
         rotations=grasps.rotation.ravel(),
@@ -57,13 +57,12 @@ def test_service_topic_and_python_answer_alike() -> None:
         id="",
         object_id="",
     )
-    planned = Predictions.refused(grasps, predictor.channels, "ok", "")
     found = {
         "messages": predictor.answer(targets, RequestedGrasps.of_messages([grasp_to_msg(g) for g in grasps]), CONFIG),
         "arrays": predictor.answer(targets, RequestedGrasps.of_arrays(arrays), CONFIG),
     }
     rows = {name: answer.predictions for name, answer in found.items()}
-    for name, answer in (rows | {"topic": predictor.predict(SEEN, planned, CONFIG)}).items():
+    for name, answer in (rows | {"topic": predictor.predict(SEEN, grasps, CONFIG)}).items():
         assert answer.status.tolist() == expected.status.tolist(), name
         assert answer.reason.tolist() == expected.reason.tolist(), name
         assert answer.flags.tolist() == expected.flags.tolist(), name
@@ -72,7 +71,7 @@ def test_service_topic_and_python_answer_alike() -> None:
 
 def test_a_request_about_the_latest_cloud_says_why_that_has_no_object() -> None:
     header = objects_to_msg([SEEN], "cam", 0).header
-    latest = Targets(header, (), PointCloud2, RefusalError(Status.NO_PLANE, "no plane within 5 m"))
+    latest = Targets(header, (), RefusalError(Status.NO_PLANE, "no plane within 5 m"))
     for table in ([], [SimpleNamespace(coef=SEEN.plane.coefficients)]):
         with pytest.raises(RefusalError, match="no plane within 5 m") as refused:
             requested_targets(

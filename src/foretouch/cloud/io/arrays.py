@@ -27,6 +27,7 @@ _PICKLED: Final = (
     "holds a pickled object of Python, which is not read, since it could run code; if you trust it, convert it once: "
     "python -c \"import numpy as np; np.savez('{1}.npz', **np.load('{0}', allow_pickle=True).item())\""
 )
+_ENCRYPTED: Final = 1  # flag of a member of an archive
 _DAMAGE: Final = (
     *(ValueError, SyntaxError, TypeError, KeyError, IndexError, EOFError, OverflowError, RuntimeError, OSError),
     *(MemoryError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
@@ -47,6 +48,9 @@ def read_arrays(path: Path, required: Collection[str], optional: Collection[str]
             for name in required:
                 if name not in members:
                     raise FileError(path, f"is missing; there are: {', '.join(members) or 'none'}", field=name)
+            locked = next((name for name, member in members.items() if member.flag_bits & _ENCRYPTED), None)
+            if locked is not None:
+                raise FileError(path, "is encrypted: save it again without a password", field=locked)
             wanted = [name for name in members if optional is None or name in required or name in optional]
             for name in wanted:
                 check_unpacked(path, members[name].file_size, len(content), members[name].filename)

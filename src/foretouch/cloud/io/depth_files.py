@@ -24,7 +24,7 @@ from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.cloud.io.mask_files import MASK_SUFFIXES
 from foretouch.config import EMPTY, load_yaml
 from foretouch.errors import CloudError, ConfigError, FileError, described, none_of, shown
-from foretouch.files import parse_json, read_bytes, require_existing
+from foretouch.files import json_in, read_bytes, require_existing
 from foretouch.types import AnyArray, CameraModel, Cloud, UInt8
 from foretouch.types.camera import MODELS, check_image
 
@@ -345,6 +345,14 @@ def _read_text(path: Path) -> dict[str, Any]:
         raise FileError(path, "holds no camera: is not a matrix of numbers") from None  # anyone may name the file
 
 
+def _read_json(path: Path) -> Any:
+    content = read_bytes(path, _LIMIT)
+    try:
+        return json_in(path, content)
+    except FileError as err:
+        raise FileError(path, f"holds no camera: {err.rule}", field=err.field) from err
+
+
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
         return load_yaml(path, _LIMIT, first=True)
@@ -356,7 +364,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 _READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
     ".mat": _read_mat,
     ".txt": _read_text,
-    ".json": lambda path: parse_json(read_bytes(path, _LIMIT)),
+    ".json": _read_json,
     ".yaml": _read_yaml,
     ".yml": _read_yaml,
 }

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from foretouch.cloud.messages import decode_plane, read_header
+from foretouch.cloud.messages import decode_plane
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError
 from foretouch.dataset.pairing.matcher import (
@@ -103,7 +103,7 @@ class SampleAssembler:
     # Input.
 
     def add(self, role: Role, message: Any, *, received_ns: int, now_s: float) -> None:
-        """Add a tactile message of the reader's type, a `SerializedCloud`, a `TablePlane`, a `GraspArray` or an `ExecutedGrasp`.
+        """Add a tactile message of the reader's type, `SeenObjects` of a cloud, a `TablePlane`, a `GraspArray` or an `ExecutedGrasp`.
 
         Args:
             role: What its topic holds.
@@ -112,15 +112,14 @@ class SampleAssembler:
             now_s: Time of a clock that never goes back [s].
 
         Raises:
-            TactileError, DatasetError: If a tactile message holds no reading, or a cloud has no header.
+            TactileError: If a tactile message holds no reading.
             CloudError: If the numbers of a table are no plane.
         """
         if role == "tactile":
             self.add_tactile(message, received_ns=received_ns, now_s=now_s)
         elif role == "cloud":
-            stamp, _ = read_header(message.data)
             self._last_cloud_s = now_s
-            self._remove(self.clouds.add(stamp, message, now_s))
+            self._remove(self.clouds.add(message, now_s))
         elif role == "table":
             self._add_table(message)
         elif role == "grasps":
@@ -272,12 +271,12 @@ def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...],
 def _object_of(cloud: BufferedCloud, frame_id: str, grasp: Grasp) -> Object:
     """Return the object of a cloud that a grasp in a frame is on; a `PairingError` if it is not known."""
     try:
-        objects = cloud.message.decode()
+        objects = cloud.seen.decode()
     except (CloudError, DatasetError) as err:
         raise PairingError("bad_cloud", str(err)) from err
     if objects and objects[0].cloud.frame_id != frame_id:
         raise PairingError("frame_differs", f"cloud in {objects[0].cloud.frame_id!r}, grasps in {frame_id!r}")
-    if cloud.message.by_place and objects:
+    if cloud.seen.by_place and objects:
         return min(objects, key=lambda candidate: _gap(candidate.cloud, grasp))
     object_id = grasp.object_id
     alone = len(objects) == 1  # then it is the object of a grasp without an id too, as for the prediction

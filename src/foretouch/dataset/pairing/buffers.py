@@ -9,11 +9,13 @@ After a jump back, all readings so far are discarded, since readings to come wou
 
 from bisect import bisect_left, bisect_right
 from collections import Counter, OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
+from foretouch.cloud.messages import read_header
 from foretouch.errors import CloudError, DatasetError
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import TactileReading
@@ -125,22 +127,41 @@ class TouchBuffer:
 
 
 @dataclass(frozen=True, eq=False)
-class SerializedCloud:
-    """An `object_cloud`, or a message that becomes one, which is decoded only where a sample needs it."""
+class SeenObjects:
+    """The objects of a cloud, or a message of which they are decoded only where a sample needs them."""
 
-    data: bytes  # the message as CDR
-    decode: Callable[[], tuple[Object, ...]]  # gives its objects, on an assumed table where it is not known
+    stamp_ns: int  # of the cloud [ns]
+    decode: Callable[[], Sequence[Object]]  # gives them, on an assumed table where it is not known
+    size: int  # in memory [bytes]
+    data: bytes = b""  # the message as CDR, if it is one
     by_place: bool = False  # whether its labels differ from the grasps', so that the object of a grasp is the nearest
 
-    def is_same(self, other: "SerializedCloud") -> bool:
+    @classmethod
+    def of(cls, objects: Sequence[Object], stamp_ns: int) -> Self:
+        """Keep the points and the table of objects, and not the image that they were cut from."""
+        kept = [Object.of(seen.id, _copied(seen.cloud), seen.plane) for seen in objects]
+        return cls(stamp_ns, lambda: kept, sum(seen.cloud.xyz.nbytes for seen in kept))
+
+    @classmethod
+    def of_message(cls, data: bytes, decode: Callable[[], Sequence[Object]], *, by_place: bool = False) -> Self:
+        """Keep a serialised message that begins with the header of the cloud; a `DatasetError` if there is none."""
+        return cls(read_header(data)[0], decode, len(data), data, by_place)
+
+    def is_same(self, other: "SeenObjects") -> bool:
         """Return whether both hold the same points in the same frame: padding in CDR is undefined, and fields may be left out."""
-        if self.data == other.data:
+        if self.data and self.data == other.data:
             return True
         try:
             pairs = list(zip(self.decode(), other.decode(), strict=True))
         except (CloudError, DatasetError, ValueError):  # the last of other numbers of objects
             return False
         return all(_are_same(mine.cloud, theirs.cloud) for mine, theirs in pairs)
+
+
+def _copied(cloud: Cloud) -> Cloud:
+    """Return a cloud that holds no other memory than its points."""
+    rgb = None if cloud.rgb is None else cloud.rgb.copy()
+    return Cloud(cloud.xyz.copy(), rgb, cloud.frame_id, cloud.stamp_ns)
 
 
 def _are_same(mine: Cloud, theirs: Cloud) -> bool:
@@ -154,14 +175,18 @@ def _are_same(mine: Cloud, theirs: Cloud) -> bool:
 class BufferedCloud:
     """A cloud in the buffer."""
 
-    stamp_ns: int  # stamp of its header [ns]
-    message: SerializedCloud  # the cloud
+    seen: SeenObjects  # its objects
     since_s: float  # when it was added [s]
     ambiguous: bool = False  # whether a different cloud has the same stamp
 
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of its header [ns]."""
+        return self.seen.stamp_ns
+
 
 class CloudBuffer:
-    """Serialised clouds by stamp, at most for `kept_s` [s] and in `kept_mb` [MB]; the oldest arrival is removed first.
+    """The objects of clouds by stamp, at most for `kept_s` [s] and in `kept_mb` [MB]; the oldest arrival is removed first.
 
     Not thread-safe. A grasp asks for its cloud seconds after the hand has hidden the object.
     """
@@ -179,14 +204,14 @@ class CloudBuffer:
         """Return the cloud of this stamp, None if it never came or has been removed."""
         return self._clouds.get(stamp_ns)
 
-    def add(self, stamp_ns: int, message: SerializedCloud, now_s: float) -> list[BufferedCloud]:
-        """Add a cloud by the stamp of its header [ns], and return the clouds that were removed for it."""
-        known = self._clouds.get(stamp_ns)
+    def add(self, seen: SeenObjects, now_s: float) -> list[BufferedCloud]:
+        """Add the objects of a cloud, and return the clouds that were removed for it."""
+        known = self._clouds.get(seen.stamp_ns)
         if known is not None:
-            self._clouds[stamp_ns] = replace(known, ambiguous=known.ambiguous or not known.message.is_same(message))
+            self._clouds[seen.stamp_ns] = replace(known, ambiguous=known.ambiguous or not known.seen.is_same(seen))
             return []
-        self._clouds[stamp_ns] = BufferedCloud(stamp_ns, message, now_s)
-        self.bytes += len(message.data)
+        self._clouds[seen.stamp_ns] = BufferedCloud(seen, now_s)
+        self.bytes += seen.size
         removed = []
         while self._clouds:
             oldest = next(iter(self._clouds.values()))
@@ -201,5 +226,5 @@ class CloudBuffer:
 
     def _pop(self) -> BufferedCloud:
         _, cloud = self._clouds.popitem(last=False)
-        self.bytes -= len(cloud.message.data)
+        self.bytes -= cloud.seen.size
         return cloud

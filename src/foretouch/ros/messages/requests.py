@@ -57,7 +57,6 @@ class Targets(NamedTuple):
 
     header: Header  # of the cloud
     objects: tuple[Object, ...]
-    message: Callable[[], PointCloud2]  # makes their `object_cloud`
     refusal: RefusalError | None = None  # why their table is not known
     placement: Placement | None = None  # of what is answered; None for the frame of the cloud
 
@@ -236,7 +235,7 @@ def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits
             targets = tuple(replace(target, plane=assumed_table(target.cloud, up)) for target in targets)
         known = bool(table) or up is not None
         unknown = None if known else RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
-        return Targets(cloud.header, targets, lambda: cloud, unknown)
+        return Targets(cloud.header, targets, unknown)
     if latest is None:
         raise RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
     if not latest.objects and latest.refusal is not None:

@@ -21,7 +21,7 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.cloud.messages import decode_cloud, decode_objects
 from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
-from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.buffers import SeenObjects
 from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.ros.messages.requests import read_serialized, status_name
 from foretouch.ros.messages.tactile import message_class
@@ -193,7 +193,11 @@ class MonitorNode(Node):
                 self._on_touch(message)
 
     def _receive_cloud(self, data: bytes) -> None:
-        self._assemble("cloud", SerializedCloud(data, lambda: decode_objects(read_serialized(data, PointCloud2))))
+        try:
+            seen = SeenObjects.of_message(data, lambda: decode_objects(read_serialized(data, PointCloud2)))
+        except DatasetError:
+            return  # the node that uses the message counts it
+        self._assemble("cloud", seen)
 
     def _assemble(self, role: Role, message: Any) -> None:
         now_s = time.monotonic()

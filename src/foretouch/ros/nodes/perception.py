@@ -12,7 +12,6 @@ from typing import Final
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.config import setting
-from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.placement import Placement
 from foretouch.ros.messages.requests import (
     RefusalError,
@@ -84,13 +83,12 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
             objects, table = item.content[CLOUD_TOPIC], item.content["table"]
             placement = self._frames.placement(header)
             found = read_objects(objects, table, self.config.limits)
-            targets = Targets(header, found, lambda: objects, placement=placement)
+            targets = Targets(header, found, placement=placement)
             return self._answer_targets(targets, table.status, table.reason)
         cloud = self._camera.cloud(item.content)
         placement = self._frames.placement(header)
         scene = self._segmentation.segment(cloud)
-        message = partial(objects_to_msg, scene.targets, header.frame_id, stamp_ns(header.stamp))
-        targets = Targets(header, scene.targets, message, placement=placement)
+        targets = Targets(header, scene.targets, placement=placement)
         answer = self._answer_targets(targets, status_code(scene.status), scene.reason)
         objects_first = (self._segmentation, partial(self._segmentation.publish, header, scene, placement))
         return answer._replace(publish=[objects_first, *answer.publish])
@@ -215,7 +213,7 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
                 objects = tuple(replace(target, plane=plane, obstacles=obstacles) for target in objects)
         except RefusalError as err:
             refusal = err
-        targets = Targets(cloud.header, objects, lambda: cloud, refusal, placement)
+        targets = Targets(cloud.header, objects, refusal, placement)
         if table is not None:
             self._step.latest = targets
         return targets

@@ -219,8 +219,8 @@ class ReplayNode(ThreadNode[ReplayConfig]):
             self.closing.callback(self.destroy_subscription, answers)
         try:
             self._wait_for = [self.resolve_topic_name(name) for name in config.wait_for]
-        except RuntimeError as err:  # of rcl
-            raise ConfigError(f"wait_for: {list(config.wait_for)}: not valid topic names") from err
+        except ConfigError as err:
+            raise ConfigError(f"wait_for: {err}") from err
 
     def _start(self) -> None:
         self.played.clear()

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from foretouch.cloud.messages import decode_objects, read_header
 from foretouch.dataset.pairing.assembler import Role, SampleAssembler
-from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.buffers import SeenObjects
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.operator import Action, Operator, OperatorState
 from foretouch.dataset.recording.records import TopicCounts
@@ -242,9 +242,11 @@ class RecordingSession:
 
     def _add(self, role: Role, serialized: SerializedMessage) -> None:
         decode = partial(read_serialized, serialized.data, self._inputs.topics[serialized.topic].message)
-        message: Any = (
-            SerializedCloud(serialized.data, lambda: decode_objects(decode())) if role == "cloud" else decode()
-        )
+        message: Any
+        if role == "cloud":
+            message = SeenObjects.of_message(serialized.data, lambda: decode_objects(decode()))
+        else:
+            message = decode()
         now_s = time.monotonic()
         with self._assembler_lock:
             self._assembler.add(role, message, received_ns=serialized.received_ns, now_s=now_s)

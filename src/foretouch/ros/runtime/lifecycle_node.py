@@ -30,7 +30,7 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPo
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ForetouchError, shown
+from foretouch.errors import ConfigError, ForetouchError, quoted, shown
 from foretouch.ros.runtime.diagnostics import InputStatistics, Report
 from foretouch.ros.runtime.discovery import find_conflicts
 from foretouch.ros.runtime.internal_errors import InternalErrors, failed_response
@@ -122,6 +122,14 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         """Add to a report for /diagnostics what is wrong, and further values."""
 
     # What a node uses.
+
+    def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
+        """Return the full name of a topic; a `ConfigError` if it is none."""
+        try:
+            return str(super().resolve_topic_name(topic, only_expand=only_expand))
+        except RuntimeError as err:  # of rcl
+            rule = "is not the name of a topic: words of letters, digits and _ with / between them"
+            raise ConfigError(f"{quoted(topic)} {rule}") from err
 
     def advertise(self, message: type, topic: str, *, depth: int = 10, keep: bool = False) -> LifecyclePublisher:
         """Make a reliable publisher, which publishes only while the node is active.

@@ -18,29 +18,20 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import PointCloud2
-
-from foretouch.cloud.geometry.limits import ObjectLimits
-from foretouch.cloud.messages import decode_objects
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
-from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.buffers import SeenObjects
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
-from foretouch.grasp.reach import ReachConfig
 from foretouch.models.history_keeper import HistoryKeeper
-from foretouch.models.touch_model import History, TouchModel
+from foretouch.models.touch_model import Readings, TouchModel
 from foretouch.ros.messages.requests import Targets
 from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.live_tare import LiveTare
 from foretouch.tactile.messages.table import TactileReader
-from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Sample, Touch, stamp_ns
-from foretouch.types.scene import Object
+from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Sample, Touch, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp
-
-_TABLES = 64  # of the latest clouds, which come before the clouds themselves are kept
 
 
 class OnlineAdapter:
@@ -81,9 +72,7 @@ class OnlineAdapter:
         self._received = self._unreadable = 0
         self._touch_counts: Counter[str] = Counter()
         self._tare_refused = False
-        self._tables: dict[int, Plane] = {}  # of the clouds that were predicted on, by stamp [ns]
         self._texts = {"tare.fault": "", "touches.last_refusal": "", "tactile.last_unreadable": ""}  # for /diagnostics
-        self._calibration_group = ""
 
     # Input, from callbacks and from the worker.
 
@@ -126,50 +115,28 @@ class OnlineAdapter:
             return
         with self._input_lock:
             known = requested and self._assembler.clouds.get(stamp) is not None
-        data = b"" if known else bytes(serialize_message(targets.message()))
+        seen = None if known else SeenObjects.of(targets.objects, stamp)
         with self._input_lock:
-            if not known:
-                message = SerializedCloud(data, lambda: decode_objects(deserialize_message(data, PointCloud2)))
-                self._assembler.add("cloud", message, received_ns=0, now_s=time.monotonic())
+            if seen is not None:
+                self._assembler.add("cloud", seen, received_ns=0, now_s=time.monotonic())
             self._assembler.matcher.add_plan(stamp, header.frame_id, named)
 
     # Output, for the thread that predicts.
 
-    def predict(
-        self, target: Object, grasps: Sequence[Grasp], *, limits: ObjectLimits, reach: ReachConfig
-    ) -> Predictions:
-        """Predict touch, adapted to the readings so far.
+    def readings_for(self, cloud: Cloud) -> Readings | None:
+        """Return what the next prediction on an object is adapted to: touches that are complete by now, and a recent tare.
 
         Args:
-            target: The object.
-            grasps: On the object.
-            limits: Of objects.
-            reach: Of the hand.
+            cloud: Of the object.
+
+        Returns:
+            None if nothing is adapted to. If a tare is refused, such as after the clock was set back, that tare alone.
         """
-        config, model = self._config(), self._model
+        config = self._config()
         self.process_touches()
         tare = self._recent_tare(config)
-        history = self._history_for(target.cloud, tare, config) if config.use_touches else None
-        alone = tare if history is None else None
-        predictions = model.predict(target, grasps, tare=alone, history=history, limits=limits, reach=reach)
-        self._keep_table(target.cloud.stamp_ns, target.plane)
-        if predictions:
-            first = predictions[0]
-            self._calibration_group = f"{first.reference} ({'new' if 'unfamiliar' in first.flags else 'known'})"
-        return predictions
-
-    def _keep_table(self, stamp: int, table: Plane) -> None:
-        """Keep the table of a cloud for as long as the cloud itself, since a grasp may be executed on it until then."""
-        with self._input_lock:
-            self._tables[stamp] = table
-            while len(self._tables) > _TABLES:
-                oldest = next(iter(self._tables))
-                if self._assembler.clouds.get(oldest) is not None:
-                    return
-                del self._tables[oldest]
-
-    def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchSettings) -> History | None:
-        """Copy the readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
+        if not config.use_touches:
+            return self._after(tare)
         now_ns, others = self._now_ns(), self._others
         tdc = (
             None
@@ -184,12 +151,15 @@ class OnlineAdapter:
                 if not self._tare_refused:  # not for every cloud
                     self._warn(f"tare: refused: {err}")
                 self._tare_refused = True
-                return None
+                return self._after(tare)
             self._tare_refused = False
             same = self._history.is_current(cloud, config.same_object_m)
-            snapshot = self._history.snapshot(now_ns, same_object=same, tare=tare is not None, tdc=tdc)
+            readings = self._history.at(now_ns, same_object=same, tared=tare is not None, tdc=tdc)
         self._keeper.changed()
-        return snapshot
+        return readings
+
+    def _after(self, tare: Touch | None) -> Readings | None:
+        return None if tare is None else self._model.after_tare(tare)
 
     def process_touches(self) -> None:
         """Add the touches that are complete by now to the history, and forget an object that was touched too long ago."""
@@ -233,7 +203,6 @@ class OnlineAdapter:
             counts = {"waiting": len(self._assembler.matcher.pending), **self._touch_counts}
             kept = self._assembler.clouds
         return {
-            "regime": self._calibration_group,
             "touches": str(self._history.touches),
             "tdc.readings": str(self._history.tracker.tdc_readings),
             "tdc.jumps": str(self._history.tracker.tdc_jumps),
@@ -268,7 +237,7 @@ class OnlineAdapter:
             if tare is not None:
                 self._history.tare(tare, stamp_ns=now_ns, tdc=tdc_of(extra, tare.channels, "tare_"))
             same = self._history.is_current(sample.cloud, config.same_object_m)
-            table = self._tables.get(sample.cloud.stamp_ns)
+            table = sample.table or ASSUMED_TABLE  # as it was predicted on
             estimate = self._history.model.estimate_executed(sample.cloud, [sample.grasp], config.limits, table)
             tdc = tdc_of(extra, touch.channels)
             read = (sample.cloud, sample.grasp, touch)

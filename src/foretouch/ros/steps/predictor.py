@@ -3,7 +3,6 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
@@ -19,8 +18,7 @@ from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.steps.online_adapter import OnlineAdapter
 from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.tactile.description import Sensor
-from foretouch.types import Float64, Predictions
-from foretouch.types.arrays import Bool
+from foretouch.types import Float64, Grasps, Predictions
 from foretouch.types.channels import NO_CHANNELS, Channels
 from foretouch.types.scene import Object
 from foretouch_msgs.msg import Status
@@ -40,6 +38,7 @@ class Predictor:
         self.adapter: OnlineAdapter | None = None  # adapts predictions to tactile readings; None for vision alone
         self.fault = ""  # why `model` could not be loaded
         self.flags: tuple[str, ...] = ()  # of every prediction
+        self.regime = ""  # what the latest prediction was adapted to, and whether its grasp resembles the training
         try:
             self.model = load_model(model, predictor or None)
         except ForetouchError as err:
@@ -76,75 +75,76 @@ class Predictor:
             config: The limits of objects and the hand's reach.
             posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
         """
-        statuses = ["bad_grasp" if reason else "ok" for reason in requested.reasons]
-        rows = Predictions.refused(requested.grasps, self.channels, statuses, requested.reasons)
+        grasps, turned = requested.grasps, requested.turned
+        refused = {k: ("bad_grasp", reason) for k, reason in enumerate(requested.reasons) if reason}
         by_target: dict[int, list[int]] = {}
-        for i in np.flatnonzero(rows.ok).tolist():
-            try:
-                by_target.setdefault(_target_of(requested.grasps.object_id[i], targets.objects), []).append(i)
-            except GraspError as err:
-                rows.status[i], rows.reason[i] = "bad_grasp", str(err)
-        for k, members in by_target.items():
-            posed = rows.take(members)
-            if not requested.turned[members].all():
-                posed = _posed(posed, requested.turned[members], targets.objects[k], config, posing)
-            rows = rows.put(members, self.predict(targets.objects[k], posed, config))
+        for k in range(len(grasps)):
+            if k not in refused:
+                try:
+                    by_target.setdefault(_target_of(grasps.object_id[k], targets.objects), []).append(k)
+                except GraspError as err:
+                    refused[k] = "bad_grasp", str(err)
+        parts = []
+        for number, members in by_target.items():
+            target, unturned = targets.objects[number], [k for k in members if not turned[k]]
+            if unturned and self.model is not None:
+                grasps, unposed = _posed(grasps, unturned, target, config, posing)
+                refused |= unposed
+            ready = [k for k in members if k not in refused]
+            parts.append((ready, self.predict(target, grasps.take(ready), config)))
+        left = list(refused)
+        statuses, reasons = ([refusal[part] for refusal in refused.values()] for part in (0, 1))
+        parts.append((left, Predictions.refused(grasps.take(left), self.channels, statuses, reasons)))
+        order = np.argsort([k for members, _ in parts for k in members])
+        rows = Predictions.join([part for _, part in parts]).take(order)
         if requested.messages is None:
-            computed = None if requested.turned.any() else np.where(rows.ok[:, None, None], rows.grasps.rotation, 0.0)
+            computed = None if turned.any() else np.where(rows.ok[:, None, None], rows.grasps.rotation, 0.0)
             return TouchAnswer(targets.header, rows.grasps, rows, sensor=self.sensor, arrays=True, rotations=computed)
-        posed_now = rows.ok & ~requested.turned
+        posed_now = rows.ok & ~turned
         messages = [
             grasp_to_msg(rows[k].grasp, message.status, message.reason) if posed_now[k] else message
             for k, message in enumerate(requested.messages)
         ]
         return TouchAnswer(targets.header, messages, rows, sensor=self.sensor)
 
-    def predict(self, target: Object, posed: Predictions, config: TouchSettings) -> Predictions:
-        """Predict for the grasps on one object, where `posed` is ok and no other reason to refuse is found.
-
-        Readings so far are adapted to.
+    def predict(self, target: Object, grasps: Grasps, config: TouchSettings) -> Predictions:
+        """Predict for the grasps on one object, adapted to the readings so far, or refuse all of them.
 
         Args:
             target: The object.
-            posed: The grasps, without values yet.
+            grasps: With orientations.
             config: The limits of objects and the hand's reach.
         """
         model = self.model
         if model is None:
-            return Predictions.refused(posed.grasps, posed.channels, "no_model", self.fault)
-        usable = posed.ok
-        if not usable.any():
-            return posed
-        options: dict[str, Any] = {"limits": config.limits, "reach": config}
-        grasps = posed.grasps if usable.all() else posed.grasps.take(usable)
+            return Predictions.refused(grasps, self.channels, "no_model", self.fault)
+        if not grasps:
+            return Predictions.refused(grasps, self.channels, "refused", "")
         try:
-            if self.adapter is not None:
-                predictions = self.adapter.predict(target, grasps, **options)
-            else:
-                predictions = model.predict(target, grasps, **options)
+            read = None if self.adapter is None else self.adapter.readings_for(target.cloud)
+            predictions = model.predict(target, grasps, history=read, limits=config.limits, reach=config)
         except (CloudError, ModelError) as err:
-            status, reason = _refusal_of(err)
-            return posed.put(usable, Predictions.refused(grasps, posed.channels, status, reason))
-        return predictions if usable.all() else posed.put(usable, predictions)
+            return Predictions.refused(grasps, self.channels, *_refusal_of(err))
+        new = "unfamiliar" in predictions.flags[0]
+        self.regime = f"{predictions.reference[0]} ({'new' if new else 'known'})"
+        return predictions
 
 
 def _posed(
-    rows: Predictions, turned: Bool, target: Object, config: TouchSettings, posing: GeoGraspConfig | None
-) -> Predictions:
-    """Compute the orientations of the rows (K,) that are not turned; a row without a possible orientation is refused."""
-    missing = np.flatnonzero(~turned)
+    grasps: Grasps, unturned: list[int], target: Object, config: TouchSettings, posing: GeoGraspConfig | None
+) -> tuple[Grasps, dict[int, tuple[str, str]]]:
+    """Compute the orientations of some of the grasps; status and reason of those without a possible one, by their number."""
     try:
         axis = _axis(target, config, posing)
     except ForetouchError as err:
-        rows.status[missing], rows.reason[missing] = _refusal_of(err)
-        return rows
-    rotation = rows.grasps.rotation.copy()
-    for k in missing.tolist():
+        return grasps, dict.fromkeys(unturned, _refusal_of(err))
+    rotation, refused = grasps.rotation.copy(), {}
+    for k in unturned:
         try:
-            rotation[k] = hand_rotation(rows.grasps.g1[k], rows.grasps.g2[k], axis)
+            rotation[k] = hand_rotation(grasps.g1[k], grasps.g2[k], axis)
         except GraspError as err:
-            rows.status[k], rows.reason[k] = _refusal_of(err)
-    return rows.replace(grasps=rows.grasps.replace(rotation=rotation))
+            refused[k] = _refusal_of(err)
+    return grasps.replace(rotation=rotation), refused
 
 
 def _axis(target: Object, config: TouchSettings, posing: GeoGraspConfig | None) -> Float64:

@@ -94,10 +94,9 @@ class TouchStep(Step):
             plans: Of each target.
             grasps: The message of all plans.
         """
-        parts = []
-        for target, plan in zip(targets, plans, strict=True):
-            posed = Predictions.refused(plan.grasps, self.predictor.channels, "ok", "")  # no value yet
-            parts.append(self.predictor.predict(target, posed, self._node.config))
+        config = self._node.config
+        pairs = zip(targets, plans, strict=True)
+        parts = [self.predictor.predict(target, plan.grasps, config) for target, plan in pairs]
         answer = TouchAnswer(grasps.header, grasps.grasps, Predictions.join(parts), sensor=self.predictor.sensor)
         return self._end(answer)
 
@@ -163,7 +162,7 @@ class TouchStep(Step):
         if self.adapter is None or self._keeper is None:
             report.values["regime"] = self._other_hand or "none: the model's card holds no calibration"
         else:
-            report.values |= self.adapter.notes() | self._keeper.notes()
+            report.values |= {"regime": self.predictor.regime} | self.adapter.notes() | self._keeper.notes()
 
     # Details.
 

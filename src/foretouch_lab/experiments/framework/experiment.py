@@ -146,10 +146,13 @@ def find_experiment(name: str) -> Experiment:
         ):
             return known
         raise ConfigError(f"experiment: {none_of(name, [experiment.name for experiment in list_experiments()])}")
+    cure = "give a name of `foretouch experiment list`, or of a module of yours, such as my_lab.stiffness"
+    if not all(part.isidentifier() for part in module.split(".")):
+        raise ConfigError(f"experiment: {name}: is no name of a module: {cure}")
     try:
         experiments = _held_by(module)
     except ModuleNotFoundError as err:
-        raise ConfigError(f"experiment: {name}: {err}") from err
+        raise ConfigError(f"experiment: {name}: {err}: {cure}") from err
     if not experiments:
         raise ConfigError(f"experiment: {name}: contains no EXPERIMENT")
     chosen = [candidate for candidate in experiments if own in ("", candidate.name)]

@@ -47,7 +47,7 @@ def by_touch_model(model: TouchModel, touched: list[Sample], sample: Sample) -> 
     history = History(model)
     for one in touched:
         history.touched(one.cloud, one.grasp, one.touch, stamp_ns=one.stamp_ns, same_object=True)
-    read = history.snapshot(max([sample.stamp_ns, *(one.stamp_ns for one in touched)]), same_object=True)
+    read = history.at(max([sample.stamp_ns, *(one.stamp_ns for one in touched)]), same_object=True)
     (found,) = model.predict(sample.cloud, [sample.grasp], history=read)
     return np.array([found.value.values, found.upper.values - found.value.values])
 

@@ -83,7 +83,7 @@ def test_what_a_dead_electrode_reads_does_not_matter_to_a_hand(broken: Dataset, 
             hand.tare(sample.touch, stamp_ns=10**9)
         else:
             hand.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=10**9, same_object=True)
-        (one,) = model.predict(asked.cloud, [asked.grasp], history=hand.snapshot(2 * 10**9, same_object=not tare))
+        (one,) = model.predict(asked.cloud, [asked.grasp], history=hand.at(2 * 10**9, same_object=not tare))
         assert one.ok
         return one.value.values
 
