@@ -85,8 +85,8 @@ SCENE = str(ROOT / "config/scenes/clean.yaml")
         (
             "foretouch_lab",
             {
-                "simulate": ["simulate", "scene.yaml", "-n", "1", "-o", "store"],
-                "dataset build": ["dataset", "build", "session", "-o", "store"],
+                "command simulate": ["simulate", "scene.yaml", "-n", "1", "-o", "store"],
+                "command dataset.build": ["dataset", "build", "session", "-o", "store"],
                 f"--source {SCENE}": ["run", "--source", SCENE],
             },
         ),
@@ -95,7 +95,8 @@ SCENE = str(ROOT / "config/scenes/clean.yaml")
 )
 def test_a_command_without_the_laboratory_names_the_extra_to_install(blocked, commands, tmp_path) -> None:
     for user, answer in zip(commands, _answers_without((blocked,), [*commands.values()], tmp_path), strict=True):
-        line = f"foretouch: {user}: {blocked} is not installed: pip install 'foretouch[lab]'"
+        cure = "'foretouch[lab]'" if blocked == "embreex" else "--force-reinstall foretouch"
+        line = f"foretouch: {user}: {blocked} is not installed: pip install {cure}"
         assert [one for one in answer.splitlines() if one.startswith("foretouch: ")] == [line]
         assert "Traceback" not in answer
 
@@ -158,7 +159,7 @@ NOT_IN_ROSDEP = {
     "trimesh",
     "lzf",
 }
-OPTIONAL = ("lab", "sim", "hdf5", "tables", "camera", "sweep", "open3d", "view", "serve")
+OPTIONAL = ("lab", "sim", "hdf5", "tables", "camera", "sweep", "open3d", "view", "serve", "urdf")
 ONLY_IN_FULL_ROS = {"sr_robot_msgs", "tf2_ros"}
 COMES_WITH = {"mpl_toolkits": "matplotlib"}
 
@@ -191,7 +192,7 @@ def test_the_metadata_and_package_xml_require_what_is_imported() -> None:
     others = {"foretouch_msgs", "rcl_interfaces", "builtin_interfaces", "std_msgs", "ament_index_python", "action_msgs"}
     robot = imported("src/foretouch") - ros - others
     assert robot - set(required(*OPTIONAL)) - ONLY_IN_FULL_ROS == set(required(None))
-    laboratory = imported("src/foretouch_lab") - ros - others - set(required(None, "open3d", "sweep"))
+    laboratory = imported("src/foretouch_lab") - ros - others - set(required(None, "open3d", "sweep", "urdf"))
     assert laboratory == set(required("lab"))
     assert not robot & laboratory
     declared = {one.text or "" for one in ET.parse(ROOT / "package.xml").getroot().findall("exec_depend")}

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The boxes of a described hand: as lines in space, and drawn from the side and from the front."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -70,4 +71,41 @@ def save_hand_figure(hand: Hand, path: Path) -> Path:
             depth = f", free {1e3 * at.depth_m:.0f} mm" if hand.limits_depth else ""
             axes.set(title=f"{1e3 * width:.0f} mm{depth}", xlabel=f"{name} [mm]", ylabel="towards the palm [mm]", aspect="equal")  # fmt: skip
     figure.suptitle(f"{hand.config.name}: {hand.config.summary}. Dotted: opened")
+    return save(figure, path)
+
+
+def save_surface_figure(
+    hand: Hand, width_m: float, points: Mapping[str, Float64], outside_m: Mapping[str, Float64], path: Path
+) -> Path:
+    """Draw the boxes of a hand at a width over points of its real surface; returns the path, errors as `save`.
+
+    Args:
+        hand: The description.
+        width_m: Width of the grasp [m].
+        points: (N, 3) float64 points [m] of each link, in the frame of the grasp.
+        outside_m: (N,) float64, how far they are outside of all boxes [m].
+        path: The picture.
+    """
+    figure = new_figure(12.0, 6.5)
+    xyz, away = (1e3 * np.concatenate(list(values.values())) for values in (points, outside_m))
+    order = np.argsort(away, kind="stable")  # those outside are drawn last
+    corners, marks = hand.at(width_m).corners, []
+    for number, (right, name) in enumerate(((0, "along the line, thumb to the right"), (1, "across the fingers"))):
+        axes = figure.add_subplot(1, 2, number + 1)
+        shown = axes.scatter(
+            xyz[order, right],
+            -xyz[order, 2],
+            c=away[order],
+            s=2.0,
+            cmap="plasma_r",
+            vmin=0.0,
+            vmax=max(5.0, away.max()),
+        )
+        marks.append(shown)
+        for part, box in zip(hand.parts, corners, strict=True):
+            lines = 1e3 * box[_EDGES]
+            axes.plot(lines[..., right].T, -lines[..., 2].T, color=COLOURS[part], linewidth=1.0)
+        axes.set(xlabel=f"{name} [mm]", ylabel="towards the palm [mm]", aspect="equal")
+    figure.colorbar(marks[0], ax=figure.axes, label="outside of the boxes [mm]", shrink=0.7)
+    figure.suptitle(f"{hand.config.name} at a width of {1e3 * width_m:g} mm, over {len(points)} links of the real hand")
     return save(figure, path)
