@@ -221,7 +221,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     }
     for name, text in files.items():
         (tmp_path / f"{name}.yaml").write_text(text)
-    parser = CommandParser(prog="foretouch run")
+    parser = CommandParser("foretouch run --source camera", prog="foretouch run")
     run_command.add_arguments(parser)
 
     def model(*words: str) -> str | None:
@@ -240,7 +240,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
 def test_grasps_on_a_scene_are_planned_for_the_hand_that_it_names(tmp_path) -> None:
     (tmp_path / "scene.yaml").write_text("hand: franka_hand\n")
     (tmp_path / "own.yaml").write_text("foretouch: {perception: {ros__parameters: {hand.name: two_tips}}}")
-    parser = CommandParser(prog="foretouch run")
+    parser = CommandParser("foretouch run --source camera", prog="foretouch run")
     run_command.add_arguments(parser)
 
     def perception(*words: str) -> dict[str, Any]:

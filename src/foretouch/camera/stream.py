@@ -119,7 +119,7 @@ class FrameStream:
         use_arrival = {"frame": False, "arrival": True, "auto": is_hardware}[self._config.stamp]
         if use_arrival:
             return arrived_ns
-        stamp_ms = depth.get_timestamp()
+        stamp_ms = float(depth.get_timestamp())
         if not 0.0 <= stamp_ms < _LATEST_MS:
             raise CameraError(f"stamp: {stamp_ms} ms is no time; camera.stamp `arrival` takes the time of arrival")
         return round(stamp_ms * 1e6)

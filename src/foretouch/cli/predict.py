@@ -20,9 +20,9 @@ from foretouch.cli.answers import contacts_text, modality_text
 from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
+from foretouch.doors import FUNCTIONS
 from foretouch.errors import ConfigError, GraspError
 from foretouch.grasp import GraspPlan
-from foretouch.laboratory import needs_laboratory
 from foretouch.models.predictor import UNFAMILIAR_CURE
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
@@ -122,8 +122,7 @@ def _answer(
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
-    with needs_laboratory("--prequential"):
-        from foretouch_lab.learning.prequential import replay_model
+    replay_model = FUNCTIONS.load("replay", "--prequential")
     unused = {*inputs.READ, *inputs.PLANNED, *inputs.CHOSEN, "--tare", "--touched", "--grasp"} - {"inputs"}
     for option in sorted(unused):
         if getattr(arguments, option.removeprefix("--").replace("-", "_")):

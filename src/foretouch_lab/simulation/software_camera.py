@@ -60,6 +60,11 @@ class SyntheticCamera:
 
     reopens = True
 
+    @property
+    def fault(self) -> str:
+        """Why nothing is shown now; "" if something is."""
+        return str(getattr(self.frame, "fault", ""))
+
     def find(self) -> Any:
         """Return the camera; a `CameraError` while it is unplugged."""
         if not self.plugged:

@@ -101,7 +101,7 @@ def labels_to_msg(scene: Scene, header: Header) -> Image:
 
 
 def overlay_to_msg(scene: Scene, header: Header) -> Image:
-    """Draw the objects over the image, rgb8: targets in full colour, others paler; by its colours, or the brighter the nearer.
+    """Draw the objects over the image, rgb8: targets in full colour, others paler, outlined; by its colours, or the brighter the nearer.
 
     Of an image that is wider than 480 pixels, every second, third, ... row and column is drawn: it is to be looked at.
     """
@@ -118,8 +118,21 @@ def overlay_to_msg(scene: Scene, header: Header) -> Image:
     pixels, flat = np.flatnonzero(labels > 0), drawn.reshape(-1, 3)
     ids = labels.reshape(-1)[pixels]
     shares = np.where(np.isin(ids, [int(target.id) for target in scene.targets]), _TARGET, _OTHER)[:, None]
+    border = np.flatnonzero(_borders(labels))
     flat[pixels] = ((255 - shares) * flat[pixels] + shares * _OBJECT_RGB[ids % len(_OBJECT_RGB)]) // 255
+    flat[border] = _OBJECT_RGB[labels.reshape(-1)[border] % len(_OBJECT_RGB)]
     return _image(header, drawn, "rgb8")
+
+
+def _borders(labels: AnyArray) -> AnyArray:
+    """Return (H, W) which pixels of objects have one of another label below or beside them."""
+    border = np.zeros(labels.shape, np.bool_)
+    across, along = labels[:, 1:] != labels[:, :-1], labels[1:] != labels[:-1]
+    border[:, 1:] |= across
+    border[:, :-1] |= across
+    border[1:] |= along
+    border[:-1] |= along
+    return border & (labels > 0)
 
 
 def _millimetres(cloud: Cloud) -> AnyArray:
