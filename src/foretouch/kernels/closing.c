@@ -16,7 +16,7 @@
 #define MOST 2.5        /* up to which */
 #define OUTWARDS 0.75   /* shares of a line by which its ends move outwards: half of what these means leave out */
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
-#define FOUND 8         /* values of a line */
+#define FOUND 10        /* values of a line */
 #define COLUMNS 64      /* of two steps across a direction, for the depth of the object */
 #define TILTS 16        /* angles of a palm, at most */
 #define EDGE_M 0.012    /* below the top of a line, at least, where a raised line closes */
@@ -84,6 +84,49 @@ void outline(const double *points, int64_t n, const double *grid, int64_t rows, 
     widen(inside, other, rows, columns, 1.0f);
     widen(inside, other, rows, columns, -1.0f);
     free(other);
+}
+
+/* The outermost points of an object on either side of a line, in rows that are one pixel wide.
+ *
+ * points (n, 3). frame (12): three directions of unit length, along the line, beside it and up, and a place on it. settings: how far the first and the
+ * last row are beside it, radius of a fingertip, whose lower points do not count, and width of a row. found (4, 2, rows), the lower side first: number
+ * of the outermost point of a row, -1 without one; its places along the line and beside it; and the mean place along it of those of the row that are
+ * at its height and within two pixels of that, NaN without one. */
+void outline_rows(const float *points, int64_t n, const double *frame, const double *settings, int64_t rows, double *found) {
+    const double reach = settings[0], tip = settings[1], width = settings[2];
+    double *number = found, *farthest = found + 2 * rows, *apart = found + 4 * rows, *face = found + 6 * rows;
+    double *counts = calloc((size_t)rows * 2, sizeof(double));
+    for (int64_t i = 0; i < 2 * rows; i++) {
+        number[i] = -1.0, farthest[i] = apart[i] = NAN, face[i] = 0.0;
+    }
+    for (int64_t pass = 0; pass < 2 && counts; pass++) {
+        for (int64_t i = 0; i < n; i++) {
+            const double x = points[3 * i] - frame[9], y = points[3 * i + 1] - frame[10], z = points[3 * i + 2] - frame[11];
+            const double beside = x * frame[3] + y * frame[4] + z * frame[5];
+            if (!(fabs(beside) < reach)) {
+                continue;
+            }
+            const double up = x * frame[6] + y * frame[7] + z * frame[8], along = x * frame[0] + y * frame[1] + z * frame[2];
+            const int64_t row = (int64_t)((beside + reach) / width);
+            if (!(up > -tip) || row >= rows) {
+                continue;
+            }
+            for (int64_t side = 0; side < 2; side++) {
+                const int64_t at = side * rows + row;
+                const int farther = side ? along > farthest[at] : along < farthest[at];
+                if (pass == 0 && (number[at] < 0.0 || farther)) {
+                    number[at] = (double)i, farthest[at] = along, apart[at] = beside;
+                }
+                if (pass == 1 && fabs(up) < tip / 2.0 && fabs(along - farthest[at]) < 2.0 * width) {
+                    face[at] += along, counts[at] += 1.0;
+                }
+            }
+        }
+    }
+    for (int64_t i = 0; i < 2 * rows; i++) {
+        face[i] = counts && counts[i] > 0.0 ? face[i] / counts[i] : NAN;
+    }
+    free(counts);
 }
 
 /* How certainly a place of the table's frame is hidden by the object, 0 ... 1, around a depth behind its nearest point on the ray. */
@@ -444,15 +487,16 @@ INLINE double fit_palm(const Palm *palm, double offset, double width, double top
  * points (n, 3), weights (n): of the object, in the table's frame (z = 0), x and y from the axis, |x| and |y| below 0.6 m.
  * turns (angles, 3): direction of the lines [rad], how far the middle one is beside the axis, and their height, or NaN if it follows from the points.
  * settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal part of the
- * direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
+ * direction of view, shift of the height from the middle, length of the way in, share of the points beyond either outer end. others (m, 3): what
+ * stands around.
  * palm: half the extent across the fingers that counts, and the step of its widths; then n_tilts angles, upright first, the lowest height of a line at
  * each, and the n_free free depths by width, beside the middle half of a line and over it; n_free is 0 for a hand without a palm.
- * found (angles, lines, 8): both ends, height, top, the first of `others` in the way of a finger, or -1, how certainly the object is at both ends,
- * 0 ... 1, how much deeper the object is than the hand, and how far the line was raised for it. The first two, the fifth and the sixth are NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
+ * found (angles, lines, 10): both ends, height, top, the first of `others` in the way of a finger, or -1, how certainly the object is at both ends,
+ * 0 ... 1, how much deeper the object is than the hand, how far the line was raised for it, and both outer ends. The first two, the fifth, the sixth and the last two are NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
 VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
                               int64_t lines, const double *settings, const Outline *seen, const double *others, int64_t m, const double *palm, int64_t n_tilts, int64_t n_free, double *found) {
     const double step = settings[0], tip = settings[1], floor_m = settings[2], share = settings[3], horizontal = settings[4];
-    const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
+    const double shift = settings[5], way = settings[6], outer = settings[7], middle = ALONGS / 2;
     Palm hand = {palm + 2 + n_tilts, palm + 2 + 2 * n_tilts, n_tilts < TILTS ? n_tilts : TILTS, n_free, palm[1], palm[0], {{0.0f}}, 0, 0, {0.0}, {0.0}, {0.0}};
     for (int64_t i = 0; i < hand.n_tilts; i++) {
         hand.cosine[i] = cos(palm[2 + i]), hand.sine[i] = sin(palm[2 + i]);
@@ -549,6 +593,8 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             one[6] = one[7] = 0.0;
             if (n_free && isnan(turns[3 * angle + 2])) {
                 one[6] = fit_palm(&hand, offset, width, top, floor_m, step, &z, one + 7);
+            } else if (isnan(turns[3 * angle + 2])) {
+                z -= LOWER_M < z - floor_m ? LOWER_M : z - floor_m;
             }
             one[2] = z, one[3] = top;
             take_lower(&all, line, (float)((z - tip) / (double)HEIGHT_M), &alongs);
@@ -558,6 +604,8 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             find_ends(&alongs, share, &low, &high);
             one[0] = (low - middle) * (double)ALONG_M, one[1] = (high - middle) * (double)ALONG_M;
             one[4] = -1.0, one[5] = seen->rows > 0 ? hidden_ends(seen, c, s, one, offset, z) : 1.0;
+            find_ends(&alongs, outer, &low, &high);
+            one[8] = (low - middle) * (double)ALONG_M, one[9] = (high - middle) * (double)ALONG_M;
         }
         for (int64_t i = 0; i < m; i++) { /* the lines beside which it stands */
             const double ahead = c * others[3 * i] + s * others[3 * i + 1], y = c * others[3 * i + 1] - s * others[3 * i];
