@@ -26,7 +26,7 @@ FINGER, THUMB, PALM = "finger", "thumb", "palm"
 UNLIMITED_M: Final = 10.0
 """Depth of a hand without a palm, and how far it could move on [m]."""
 
-_SPARE_M: Final = 0.003
+_SPARE_M: Final = 0.006
 """Distance that the palm keeps from the object where it can, since sizes and places are estimated."""
 
 _hand_clearance = Kernel("hand_clearance")
