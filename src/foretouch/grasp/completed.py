@@ -278,9 +278,9 @@ class CompletedObject:
         }
 
     def _width(self, measured: Float64) -> Float64:
-        """Return how wide the object is along lines (10, ...) of `_close`: between its ends for a hand with bodies, which would meet them."""
-        low, high = measured[8:] if self.has_palm else measured[:2]
-        return np.asarray(high - low + (self._step_m if self.has_palm else 0.0), np.float64)
+        """Return the width of lines (10, ...) of `_close` that counts for the opening: for jaws from one end of the object to the other, since they meet what is wider."""
+        low, high = measured[8:] if self._hand.hand.is_jaw else measured[:2]
+        return np.asarray(high - low + (self._step_m if self._hand.hand.is_jaw else 0.0), np.float64)
 
     def _cost(self, measured: Float64, slope: Float64) -> Float64:
         """Return what speaks against each line (10, ...) of `_close`, with the slopes of both ends (2, ...)."""

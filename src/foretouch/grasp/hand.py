@@ -190,6 +190,11 @@ class Hand:
         """Whether the hand has a palm that an object can meet."""
         return bool(self.depths.min() < UNLIMITED_M)
 
+    @property
+    def is_jaw(self) -> bool:
+        """Whether it is a gripper without joints that bend, whose stroke ends at the opening."""
+        return self.limits_depth and not self.config.joints
+
     @cached_property
     def palm(self) -> Float64:
         """Half of `across_m`, the step of the widths, the angles `TILTS` and the lowest height of a line at each, and free depths by width, beside the middle half of a line and over it [m]."""
