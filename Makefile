@@ -42,7 +42,7 @@ $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pypr
 
 $(VENV)/.installed: $(VENV)/.runtime
 	@echo "setup: installing what the tests need (half a minute; on a loaded machine more)"
-	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[lab,open3d,hdf5,tables,view,serve,physics,docs,test,dev]'
+	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[lab,open3d,hdf5,tables,urdf,view,serve,physics,docs,test,dev]'
 	-@$(BIN)/foretouch doctor
 	@touch $@
 

@@ -9,6 +9,26 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import CCompilerError, ExecError
 
+# What foretouch_lab adds to foretouch, as any package may (src/foretouch/doors.py).
+LABORATORY = {
+    "foretouch.commands": {
+        **{
+            name: f"foretouch_lab.cli.commands:{name.upper()}"
+            for name in ("simulate", "train", "evaluate", "experiment", "benchmark", "tradeoff")
+        },
+        "dataset.build": "foretouch_lab.cli.commands:BUILD",
+    },
+    "foretouch.sources": dict.fromkeys(("scene", ".yaml", ".yml"), "foretouch_lab.simulation.scene_source:SCENE"),
+    "foretouch.nodes": {"hand": "foretouch_lab.ros.hand:HandNode"},
+    "foretouch.functions": {
+        "compare_hand": "foretouch_lab.cli.hand_surface:run",
+        "fit": "foretouch_lab.learning.training.fit:fit",
+        "calibrate": "foretouch_lab.learning.training.own:calibrate",
+        "evaluate": "foretouch_lab.learning.training.scoring:evaluate",
+        "folds": "foretouch_lab.learning.data.folds:make_folds",
+        "replay": "foretouch_lab.learning.prequential:replay_model",
+    },
+}
 NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "hand", "recorder", "bridge", "perception")
 
 
@@ -58,6 +78,7 @@ setup(
         "console_scripts": [
             "foretouch = foretouch.__main__:main",
             *(f"foretouch_{node} = foretouch.ros.executables:{node}" for node in NODES),
-        ]
+        ],
+        **{group: [f"{name} = {place}" for name, place in parts.items()] for group, parts in LABORATORY.items()},
     },
 )

@@ -1,148 +1,449 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw pictures of the documents: python docs/drawings.py [PICTURE].
+"""Draw the pictures of the documents: python docs/drawings.py [PICTURE ...].
 
-`steps` and `frames`, of docs/concepts.md, show one simulated scene, as the pipeline sees it with its default settings.
-
-`touch_recorded` shows grasps of the public recordings (FORETOUCH_DATA) that the model was not fitted to: the recipe of
-`contact-v2` is fitted to all but the last fifth of each object's grasps, in order of time. Of that last fifth, the grasps
-are drawn whose mean electrode error lies at the lower quartile, the median and the upper quartile.
-
-`demo` is the moving picture of README. The can of `config/scenes/demo.yaml` lies among three other objects, once with each of
-twenty seeds, and is grasped once. The grasp is shown whose mean electrode error is the median (of two, the lower).
+`bottles` shows the objects in the recorded image of examples/data/bottles. All others but `touch_recorded` show scenes of our
+own, which MuJoCo renders with colour and depth (docs/rendering.py); what is drawn over them is what foretouch answers. `touch_recorded` shows grasps of the public recordings (FORETOUCH_DATA) that the model was not fitted
+to: the recipe of `contact-v2` is fitted to all but the last fifth of each object's grasps, in order of time. Of that last fifth, the
+grasps are drawn whose mean electrode error lies at the lower quartile, the median and the upper quartile.
 """
 
+import csv
 import io
 import os
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
+from typing import Any, Final
 
-import matplotlib as mpl
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from mpl_toolkits.mplot3d.axes3d import Axes3D
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from PIL import Image
+from rendering import BOTTLE, BOWL, CAN, HAND, Photograph, Stage, Thing, box, frame_in_world, looking, rod, turned
 
-from foretouch.grasp.hand import FINGER, THUMB, Hand, load_hand
-from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult
-from foretouch.report.finger_figure import FingerScale
+from foretouch.cli.main import main as command
+from foretouch.grasp import GraspPlan
+from foretouch.models import History, load_model
+from foretouch.pipeline import Pipeline, PipelineConfig
+from foretouch.report.camera_figure import draw_camera, without_slits
+from foretouch.report.finger_figure import FingerScale, finger_levels, title_finger
+from foretouch.report.panels import FAINT, FINGER_COLOURS, INK, PAGE_INCH, SMALL_PT, TEXT_PT, Axes, new_figure, save
 from foretouch.report.scene_figure import draw_scene
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.taxel_view import TaxelView
-from foretouch.types import Bool, Cloud, Float64, Grasp, Prediction, Sample, Touch
-from foretouch.types.scene import Scene
+from foretouch.types import Cloud, Float64, Grasp, Prediction, Sample
+from foretouch.types.scene import Object, Scene
+from foretouch_lab.simulation.depth_scene import CameraView
+from foretouch_lab.simulation.scene import load_scene
+from foretouch_lab.simulation.simulate import Simulation
 
-FOLDER = Path(__file__).parent
-AXES = ("tab:red", "tab:green", "tab:blue")  # x, y, z as in RViz
-POINTS = 1800  # drawn at most
-RUNS = 20  # of which the moving picture shows the median
-FACES = np.array([[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]])  # of a box
-PARTS = {THUMB: "tab:red", FINGER: "tab:cyan"}  # the palm is grey
-
-
-def scene() -> tuple[Cloud, PipelineResult]:
-    """A cloud with the table in view, and what the pipeline makes of it."""
-    from foretouch_lab.simulation.depth_scene import random_scene
-
-    cloud = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=3).render().cloud()
-    return cloud, Pipeline().run(cloud)
+FOLDER: Final = Path(__file__).parent
+NOISE_M: Final = 0.0008  # of the depth at 1 m
+RED, BLUE, YELLOW, GREEN = (0.78, 0.22, 0.18), (0.2, 0.45, 0.7), (0.88, 0.66, 0.2), (0.36, 0.6, 0.36)
+WHITE, GREY, PURPLE, BROWN = (0.86, 0.86, 0.84), (0.55, 0.57, 0.6), (0.5, 0.35, 0.6), (0.45, 0.33, 0.25)
+REASONS: Final = {"enters_view": "#d1495b", "beyond_table": "#3b6fb6", "floating": "#8f4fd1", "wall": "#b8860b"}
+AXES: Final = ("#d62728", "#2ca02c", "#1f77b4")  # x, y, z as in RViz
 
 
-def thinned(xyz: np.ndarray) -> np.ndarray:
-    """(M, 3) finite points, few enough to draw."""
-    finite = xyz.reshape(-1, 3)[np.isfinite(xyz.reshape(-1, 3)).all(axis=1)]
-    return np.random.default_rng(0).permutation(finite)[:POINTS]  # a stride would draw stripes
+def photograph(things: Sequence[Thing], distance_m: float, tilt_deg: float) -> Photograph:
+    """Return what a tilted camera sees of things on a table."""
+    return Stage(things).photograph(CameraView.towards_table(640, 480, distance_m, np.radians(tilt_deg)))
 
 
-def draw_points(ax: Axes, xyz: np.ndarray, colour: str | np.ndarray, size: float = 2.0) -> None:
-    """Points as the camera sees them: x to the right, y down [m]."""
-    ax.scatter(xyz[:, 0], xyz[:, 1], c=colour, s=size, linewidths=0)
+def shrink(path: Path) -> None:
+    """Write a PNG again with a palette of 256 colours, between which photographs are dithered."""
+    with Image.open(path) as image:
+        full = image.convert("RGB")
+    palette = full.quantize(256, Image.Quantize.MAXCOVERAGE)
+    full.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(path, optimize=True)
 
 
-def draw_steps(cloud: Cloud, result: PipelineResult) -> None:
-    """Cloud, objects, grasp, touch."""
-    figure, (seen, found, grasped, predicted) = plt.subplots(
-        1, 4, figsize=(12, 3.1), layout="constrained", width_ratios=(1.3, 1.3, 0.9, 1.3)
+def save_photo(figure: Figure, path: Path) -> None:
+    """Write a figure with photographs."""
+    shrink(save(figure, path))
+
+
+def room() -> list[Thing]:
+    """Return four objects, and a wall, a cupboard, an arm and a lamp, which are none."""
+    arm = [
+        rod(GREY, (-0.75, 0.15, 0.35), (-0.32, 0.08, 0.3), 0.045),
+        rod(GREY, (-0.32, 0.08, 0.3), (-0.22, 0.05, 0.13), 0.035),
+    ]
+    around = [box(WHITE, (2.4, 0.05, 1.6), (0.0, 0.9, -0.75)), box(BROWN, (0.4, 0.4, 1.0), (0.75, 0.72, -0.75))]
+    lamp = turned(PURPLE, ((1e-4, 0.0), (0.07, 0.0), (0.045, 0.05), (1e-4, 0.05)), (0.22, 0.2, 0.3))
+    objects = [
+        turned(RED, CAN, (-0.12, -0.05, 0.0)),
+        turned(GREEN, BOTTLE, (0.05, 0.06, 0.0)),
+        box(YELLOW, (0.1, 0.06, 0.08), (-0.02, -0.16, 0.0), 0.4),
+        turned(BLUE, BOWL, (0.2, -0.1, 0.0)),
+    ]
+    return [*objects, *arm, *around, lamp]
+
+
+def full_bin() -> list[Thing]:
+    """Return a bin with three objects."""
+    side = (0.3, 0.5, 0.62)
+    sides = [box(side, (0.42, 0.012, 0.14), (0.0, y, 0.0)) for y in (-0.15, 0.15)]
+    sides += [box(side, (0.012, 0.3, 0.14), (x, 0.0, 0.0)) for x in (-0.21, 0.21)]
+    objects = [
+        turned(RED, CAN, (-0.1, -0.03, 0.0)),
+        box(YELLOW, (0.1, 0.06, 0.05), (0.02, 0.06, 0.0), 0.4),
+        turned(GREEN, BOTTLE, (0.09, -0.06, 0.0), lying=0.5),
+    ]
+    return [*sides, *objects]
+
+
+def pile() -> list[Thing]:
+    """Return six objects that touch or hide each other."""
+    return [
+        box(YELLOW, (0.14, 0.1, 0.06), (0.0, 0.0, 0.0), 0.3),
+        box(BLUE, (0.09, 0.07, 0.05), (0.0, 0.0, 0.06), 0.9),
+        turned(RED, CAN, (-0.105, 0.02, 0.0)),
+        turned(GREEN, BOTTLE, (0.06, -0.1, 0.0)),
+        box(PURPLE, (0.08, 0.12, 0.1), (0.13, 0.05, 0.0), -0.2),
+        turned(WHITE, BOWL, (-0.12, -0.12, 0.0)),
+    ]
+
+
+def draw_found(axes: Axes, scene: Scene) -> None:
+    """Draw a scene with the outlines of its objects, and its background in the colour of its reason."""
+    areas = {object_.id: scene.labels == int(object_.id) for object_ in scene.objects}
+    draw_camera(axes, scene.cloud, areas)
+    height, width = scene.labels.shape
+    for part in scene.background:
+        inside = np.zeros((height, width), bool)
+        inside.flat[part.pixels] = True
+        inside = without_slits(inside)
+        colour = REASONS[part.background]
+        shade = np.zeros((height, width, 4))
+        shade[inside] = (*to_rgb(colour), 0.55)
+        axes.imshow(shade)
+        axes.contour(inside.astype(float), levels=[0.5], colors=colour, linewidths=1.2)
+        alike = (one for one in scene.background if one.background == part.background)
+        if part is max(alike, key=attrgetter("n_points")):
+            rows, columns = np.nonzero(inside)
+            k = int(np.argmin(np.hypot(rows - np.median(rows), columns - np.median(columns))))
+            label(axes, part.background, (columns[k], rows[k]), colour)
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+
+
+def label(axes: Axes, text: str, place: Any, colour: str) -> None:
+    """Write a word on a picture."""
+    axes.annotate(text, place, color="white", fontsize=TEXT_PT, fontweight="bold", ha="center", va="center",
+                  bbox={"boxstyle": "round,pad=0.25", "facecolor": colour, "edgecolor": "white", "linewidth": 0.6})  # fmt: skip
+
+
+def draw_background() -> None:
+    """Draw what is no object, and why."""
+    figure = new_figure(PAGE_INCH, 3.3)
+    left, right = figure.subplots(1, 2)
+    for axes, things, view in ((left, room(), (1.0, 48.0)), (right, full_bin(), (0.7, 10.0))):
+        draw_found(axes, Pipeline().segment(photograph(things, *view).cloud(NOISE_M)))
+    left.set_title("objects 1 to 4; an arm, a lamp, a wall and a cupboard", fontsize=TEXT_PT)
+    right.set_title("a bin and the objects in it", fontsize=TEXT_PT)
+    save_photo(figure, FOLDER / "segmentation_background.png")
+
+
+def draw_joins() -> None:
+    """Draw a pile, its connected points, and its objects."""
+    cloud = photograph(pile(), 0.62, 35.0).cloud(NOISE_M)
+    figure = new_figure(PAGE_INCH, 2.6)
+    panels = figure.subplots(1, 3)
+    whole, divided = (
+        Pipeline(PipelineConfig().updated({"segmentation.split.angle_deg": angle})).segment(cloud)
+        for angle in (180.0, 22.0)
     )
-    everything = thinned(cloud.xyz)
-    draw_points(seen, everything, everything[:, 2], 6.0)
-    seen.set_title("1  cloud (colour: depth)")
-    draw_points(found, everything, "lightgray", 6.0)
-    assert result.scene is not None  # noqa: S101  a cloud with the table in view
-    for object_, colour in zip(result.scene.objects, ("tab:orange", "tab:purple", "tab:brown"), strict=False):
-        draw_points(found, thinned(object_.cloud.xyz), colour, 1.5)
-    found.set_title("2  table and objects")
-    (target,) = result.targets
-    prediction = target.predictions[0]
-    draw_points(grasped, thinned(target.target.cloud.xyz), "tab:orange", 8.0)
-    draw_grasp(grasped, prediction)
-    grasped.set_title("3  best grasp")
-    draw_touch(predicted, prediction)
-    predicted.set_title("4  predicted touch")
-    for ax in (seen, found, grasped):
-        ax.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-        ax.invert_yaxis()
-    for ax in (seen, found):
-        ax.set(xlim=(-0.55, 0.55), ylim=(0.4, -0.4))
-    figure.savefig(FOLDER / "steps.png", dpi=110)
+    counts = divided.counts
+    titles = (
+        "a pile", f"{len(whole.objects)} clusters of connected points",
+        f"divided and joined: {len(divided.objects)} objects",
+    )  # fmt: skip
+    for axes, scene, title in zip(panels, (None, whole, divided), titles, strict=True):
+        areas = {} if scene is None else {one.id: scene.labels == int(one.id) for one in scene.objects}
+        draw_camera(axes, cloud, areas)
+        axes.set(xlim=(100, 540), ylim=(430, 60))
+        axes.set_title(title, fontsize=TEXT_PT)
+    print({name: counts[name] for name in counts if name.startswith(("clusters", "parts", "joined"))})  # noqa: T201
+    save_photo(figure, FOLDER / "segmentation_joins.png")
 
 
-def draw_grasp(ax: Axes, prediction: Prediction) -> None:
-    """Both contacts, with the fingers that take them by default."""
-    for point, name, up in ((prediction.grasp.g1, "thumb, g1", -16), (prediction.grasp.g2, "middle finger, g2", 9)):
-        ax.plot(point[0], point[1], "o", color="black", markersize=6)
-        ax.annotate(name, point[:2], textcoords="offset points", xytext=(0, up), fontsize=8, ha="center")
-    ax.margins(x=0.35)
+def on_picture(view: CameraView, points: Float64) -> Float64:
+    """Return (N, 2) columns and rows at which a camera sees places of the world."""
+    local = view.to_camera(np.asarray(points, np.float64))
+    return (local @ view.matrix.T)[:, :2] / local[:, 2:]
 
 
-def draw_touch(ax: Axes, prediction: Prediction) -> None:
-    """The 24 electrodes of both fingers with their 90 % intervals [counts]."""
-    for shift, name, centre, low, high in zip((-0.15, 0.15), ("thumb", "middle finger"), *prediction["E"], strict=True):
-        ax.errorbar(
-            np.arange(1, 25) + shift, centre, np.array([centre - low, high - centre]), fmt="o", ms=3, lw=1, label=name
+def plan_on(things: Sequence[Thing], camera: CameraView, hand: str = HAND) -> tuple[Scene, Object, GraspPlan]:
+    """Return the scene, its object nearest to the middle of the table, and the plan for it."""
+    pipeline = Pipeline(PipelineConfig().updated({"hand.name": hand}))
+    scene = pipeline.segment(Stage(things).photograph(camera).cloud(NOISE_M))
+    middle = camera.to_camera(np.zeros((1, 3)))[0]
+    target = min(scene.objects, key=lambda one: float(np.linalg.norm((one.centroid - middle)[:2])))
+    return scene, target, pipeline.plan(target)
+
+
+def draw_taken(axes: Axes, things: Sequence[Thing], camera: CameraView, grasp: Grasp, *, around_deg: float) -> None:
+    """Draw the hand at a grasp from the side, with the closing line, the depth and the way in.
+
+    Args:
+        axes: Where to draw.
+        things: What is on the table.
+        camera: Which saw it.
+        grasp: In its frame.
+        around_deg: How far the view is turned about the vertical, from across the closing line towards the thumb.
+    """
+    frame = frame_in_world(grasp, camera)
+    assert grasp.way is not None  # noqa: S101
+    stage = Stage(things, hand=True)
+    stage.place_hand(frame, grasp.width_m)
+    middle, across, into = frame[:3, 3], frame[:3, 0], frame[:3, 2]
+    aside, turn = np.cross([0.0, 0.0, 1.0], across), np.radians(around_deg)
+    level = middle * (1.0, 1.0, 0.0)
+    from_here = level + 0.6 * (np.cos(turn) * aside + np.sin(turn) * across)
+    eye = looking((*from_here[:2], 0.3), (*level[:2], 0.14), 640, 600, 48.0)
+    axes.imshow(stage.look(eye))
+    thumb, finger = on_picture(eye, middle + np.outer([0.5, -0.5], across * grasp.width_m))
+    middle_of, shallow = on_picture(eye, np.stack([middle, middle - grasp.way.depth_m * into]))
+    for width, colour in ((3.5, "white"), (1.8, INK)):
+        axes.plot(*np.stack([thumb, finger]).T, color=colour, linewidth=width)
+    axes.annotate(
+        "",
+        shallow,
+        middle_of,
+        arrowprops={"arrowstyle": "<->", "color": "white", "lw": 2.2, "shrinkA": 0, "shrinkB": 0},
+    )
+    for place, name, colour in zip((thumb, finger), ("thumb", "middle finger"), FINGER_COLOURS, strict=False):
+        axes.plot(*place, "o", color=colour, markeredgecolor="white", markersize=7.5)
+        label(axes, name, (place[0] + (-75 if place[0] < middle_of[0] else 130), place[1] + 50), colour)
+    start, ahead = np.array([490.0, 75.0]), middle_of - shallow
+    end, arrow = start + 140.0 * ahead / np.linalg.norm(ahead), "-|>,head_width=0.4,head_length=0.8"
+    axes.annotate("", end, start, arrowprops={"arrowstyle": arrow, "color": "#c8501e", "lw": 3.0})
+    label(axes, "way in", (start[0], start[1] - 25), "#c8501e")
+    label(axes, f"depth {1e3 * grasp.way.depth_m:.0f} mm", (510, 550), INK)
+    axes.annotate("", (middle_of + shallow) / 2.0, (510, 530), arrowprops={"arrowstyle": "-", "color": INK, "lw": 1.2})
+    axes.set(xticks=[], yticks=[], xlim=(0, 640), ylim=(600, 0))
+
+
+def draw_grasps() -> None:
+    """Draw a grasp from straight above, one that comes tilted, and an object that is refused."""
+    camera = CameraView.towards_table(640, 480, 0.8, np.radians(25.0))
+    figure = new_figure(PAGE_INCH, 3.2)
+    upright, tilted, refused = figure.subplots(1, 3)
+    carton = [box(YELLOW, (0.06, 0.12, 0.2), (0.0, 0.0, 0.0), 0.3)]
+    draw_taken(upright, carton, camera, plan_on(carton, camera)[2].grasps[0], around_deg=15.0)
+    upright.set_title("a carton, taken from above", fontsize=TEXT_PT)
+    bottle = [turned(GREEN, BOTTLE, (0.0, 0.0, 0.0))]
+    grasp = plan_on(bottle, camera)[2].grasps[0]
+    assert grasp.way is not None  # noqa: S101
+    tilt = np.degrees(np.arccos(-(camera.R_world_camera @ grasp.way.approach)[2]))
+    draw_taken(tilted, bottle, camera, grasp, around_deg=70.0)
+    tilted.set_title(f"a bottle, tilted by {tilt:.0f}°: there it is shallow", fontsize=TEXT_PT)
+    wide = [box(BLUE, (0.16, 0.15, 0.09), (0.0, 0.0, 0.0), 0.3)]
+    scene, target, plan = plan_on(wide, camera)
+    assert not len(plan.grasps)  # noqa: S101
+    draw_camera(refused, scene.cloud, {target.id: scene.labels == int(target.id)}, around=0.5)
+    refused.set_title(f"refused: {plan.status}", fontsize=TEXT_PT)
+    refused.set_xlabel("\n".join(_wrapped(plan.reason, 42)), fontsize=SMALL_PT)
+    save_photo(figure, FOLDER / "grasps.png")
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    from textwrap import wrap
+
+    return wrap(text, width)
+
+
+def touched_figure(touches: Sequence[int]) -> tuple[list[Prediction], Sample]:
+    """Return the predictions of a grasp of the demo's figure after so many touches each, and the grasp with its reading."""
+    model = load_model("simulated")
+    scene = load_scene(FOLDER.parent / "config" / "scenes" / "demo.yaml")
+    visits = [list(visit) for _, visit in groupby(Simulation(scene).samples(10), key=lambda sample: sample.object)]
+    visit = next(visit for visit in visits if visit[0].object == "figure")
+    last, predictions = visit[max(touches)], []
+    for count in touches:
+        history = History(model)
+        for sample in visit[:count]:
+            history.tare(sample.tare, stamp_ns=sample.stamp_ns)
+            history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=True)
+        history.tare(last.tare, stamp_ns=last.stamp_ns)
+        predictions += history.predict(last.cloud, [last.grasp], stamp_ns=last.stamp_ns, same_object=bool(count))
+    return predictions, last
+
+
+def draw_skills(axes: Axes) -> None:
+    """Draw the skill of the thumb's electrodes on real objects left out, after touches of them (docs/results/unseen_object)."""
+    with (FOLDER / "results" / "unseen_object" / "results.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["object"] == "all" and row["modality"] == "E_TH"]
+    drawn = (("contact", "model, adapted", FINGER_COLOURS[0], "o-"), ("training_mean", "mean of the training, adapted", INK, "s--"))  # fmt: skip
+    for name, text, colour, style in drawn:
+        own = sorted((row for row in rows if row["predictor"] == name), key=lambda row: int(row["touches"]))
+        touches, skill, low, high = (
+            np.array([float(row[key]) for row in own]) for key in ("touches", "skill", "skill_low", "skill_high")
         )
-    ax.set(xlabel="electrode", ylabel="counts")
-    ax.legend(fontsize=8, loc="lower left")
+        axes.plot(touches, skill, style, color=colour, label=text, markersize=5)
+        axes.fill_between(touches, low, high, color=colour, alpha=0.12, linewidth=0.0)
+    axes.axhline(0.0, color=FAINT, linewidth=1.0)
+    axes.set(xticks=(0, 1, 3, 5, 10), ylim=(-0.1, 1.0))
+    axes.set_xlabel("touches of the object before", fontsize=SMALL_PT)
+    axes.set_ylabel("skill, electrodes of the thumb", fontsize=SMALL_PT)
+    axes.set_title("eight real objects, each left out", fontsize=TEXT_PT)
+    axes.tick_params(labelsize=SMALL_PT)
+    axes.legend(fontsize=SMALL_PT, loc="upper left", frameon=False)
 
 
-def draw_frames(cloud: Cloud, result: PipelineResult) -> None:
-    """The camera's optical frame, and the frame of the hand at a grasp."""
-    figure = plt.figure(figsize=(4.6, 4.6), layout="constrained")
-    ax = figure.add_subplot(projection="3d")
-    assert isinstance(ax, Axes3D)  # noqa: S101
-    (target,) = result.targets
-    grasp = target.predictions[0].grasp
-    # Shown with z down, as a camera above a table looks.
-    around = thinned(cloud.xyz)
-    around = around[(np.abs(around - grasp.midpoint) < 0.3).all(axis=1)]
-    ax.scatter(*around.T, s=3, c="gray", linewidths=0)
-    ax.scatter(*thinned(target.target.cloud.xyz).T, s=2, c="tab:orange", linewidths=0)
-    triad(ax, np.zeros(3), np.eye(3), 0.2, "camera\noptical\nframe", "xyz")
-    triad(ax, grasp.midpoint, grasp.rotation, 0.2, "frame of\nthe hand\n\n", "XYZ")
-    for point in (grasp.g1, grasp.g2):
-        ax.plot(*point[:, None], "o", color="black", markersize=4)
-    ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", aspect="equal")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(MaxNLocator(3))
-    ax.invert_zaxis()
-    ax.invert_yaxis()  # with z down, this keeps the axes right-handed
-    ax.view_init(elev=20, azim=-60)
-    figure.savefig(FOLDER / "frames.png", dpi=110, bbox_inches="tight", pad_inches=0.15)
+def draw_adaptation() -> None:
+    """Draw how the skill rises with touches of objects that the model never saw, and one simulated grasp before and after two."""
+    (before, after), last = touched_figure((0, 2))
+    assert last.touch is not None  # noqa: S101
+    view = TaxelView(BIOTAC_SP)
+    drawn = [[finger_levels(view, one, last.tare, k) for k in (0, 1)] for one in (before, after)]
+    drawn.append([(view.levels(last.touch.values, last.tare, k), None) for k in (0, 1)])
+    halves = [half for one in drawn for _, half in one if half is not None]
+    scale = FingerScale(view, [levels for one in drawn for levels, _ in one], halves, tared=True)
+    figure = new_figure(PAGE_INCH, 4.3)
+    left, right = figure.subfigures(1, 2, width_ratios=(1.0, 1.35))
+    draw_skills(left.subplots())
+    grid = right.subplots(2, 3)
+    for column, one, what in zip(grid.T, drawn, ("no touch", "two touches", "read"), strict=True):
+        for k, panel in enumerate(column):
+            scale.draw(panel, k, one[k][0], half=one[k][1])
+            title_finger(panel, scale, k, "", what if k == 0 else "")
+    scale.add_bar(right, list(grid.flat), shrink=0.9, aspect=35)
+    for name, one in (("before", before), ("after", after)):
+        print(name, f"{np.abs(one.value.values - last.touch.values)[2:].mean():.1f} counts")  # noqa: T201
+    save_photo(figure, FOLDER / "adaptation.png")
 
 
-def triad(ax: Axes3D, origin: np.ndarray, rotation: np.ndarray, length: float, name: str, letters: str) -> None:
-    """The three axes of a frame."""
-    for axis, colour, letter in zip(rotation.T, AXES, letters, strict=True):
-        ax.quiver(*origin, *(axis * length), color=colour, arrow_length_ratio=0.15)
-        ax.text(*(origin + axis * length * 1.15), letter, color=colour)
-    ax.text(*(origin - np.array([0.3, 0.0, 0.0])), name, fontsize=9)
+def draw_intervals() -> None:
+    """Draw the predicted electrodes of one finger as rings and as bars, and where they were read."""
+    (prediction,), last = touched_figure((2,))
+    finger = 1
+    assert last.touch is not None  # noqa: S101
+    view = TaxelView(BIOTAC_SP)
+    columns = view.columns(finger)
+    levels, half = finger_levels(view, prediction, last.tare, finger)
+    assert half is not None  # noqa: S101
+    read = view.levels(last.touch.values, last.tare, finger)
+    outside = np.abs(read - levels) > half
+    scale = FingerScale(view, [levels, read], [half], tared=True)
+    figure = new_figure(PAGE_INCH, 3.3)
+    left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 2.6, 1.0))
+    for axes, what, shown, rings, crossed in (
+        (left, "predicted", levels, half, None),
+        (right, "read", read, None, outside),
+    ):
+        scale.draw(axes, finger, shown, half=rings, outside=crossed)
+        title_finger(axes, scale, finger, "", what)
+    number = np.arange(1, len(columns) + 1)
+    middle.use_sticky_edges = False
+    middle.bar(number, 2.0 * half, 0.55, levels - half, color=FAINT, label="90 % interval")
+    middle.plot(number, levels, "_", color=FINGER_COLOURS[finger], markersize=9, markeredgewidth=2.5, label="predicted")
+    middle.plot(number[~outside], read[~outside], "o", color=INK, markersize=4.5, label="read inside")
+    if outside.any():
+        middle.plot(number[outside], read[outside], "X", color=INK, markersize=7.5, label="read outside")
+    middle.set_xlabel("electrode of the middle finger", fontsize=SMALL_PT)
+    middle.set_ylabel(view.label(from_rest=True), fontsize=SMALL_PT)
+    middle.set_xticks([1, 6, 12, 18, 24])
+    middle.tick_params(labelsize=SMALL_PT)
+    middle.legend(
+        fontsize=SMALL_PT,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 1.2),
+        ncols=4,
+        frameon=False,
+        columnspacing=1.0,
+        handletextpad=0.3,
+    )
+    scale.add_bar(figure, [left, middle, right], shrink=0.6, aspect=45)
+    print(f"{(~outside).sum()} of {len(columns)} inside")  # noqa: T201
+    save_photo(figure, FOLDER / "intervals.png")
+
+
+def table_of_four() -> tuple[list[Thing], CameraView]:
+    """Return four objects apart from each other, and a camera above them."""
+    things = [
+        box(YELLOW, (0.07, 0.12, 0.09), (-0.02, 0.0, 0.0), 0.5),
+        turned(RED, CAN, (-0.19, 0.05, 0.0)),
+        turned(GREEN, BOTTLE, (0.16, 0.06, 0.0)),
+        turned(BLUE, BOWL, (0.17, -0.13, 0.0)),
+    ]
+    return things, CameraView.towards_table(640, 480, 0.8, np.radians(30.0))
+
+
+def draw_steps() -> None:
+    """Draw the way from a cloud to a touch."""
+    things, camera = table_of_four()
+    pipeline = Pipeline(PipelineConfig().updated({"hand.name": HAND}))
+    cloud = Stage(things).photograph(camera).cloud(NOISE_M)
+    scene = pipeline.segment(cloud)
+    target = scene.targets[0]
+    grasp = pipeline.plan(target).grasps[0]
+    model = load_model()
+    prediction = model.predict(target, [grasp])[0]
+    figure = new_figure(PAGE_INCH, 6.1)
+    (seen, found), (taken, touch) = np.asarray(figure.subfigures(2, 2))
+    depth, photo_of, best = seen.subplots(), found.subplots(), taken.subplots()
+    draw_camera(depth, replace(cloud, rgb=None) if type(cloud) is Cloud else Cloud(cloud.xyz), {})
+    areas = {one.id: scene.labels == int(one.id) for one in scene.objects}
+    draw_camera(photo_of, cloud, areas, table=scene.outline)
+    draw_camera(best, cloud, {target.id: areas[target.id]}, grasp=grasp, around=0.9)
+    for axes in (depth, photo_of):
+        axes.set(xlim=(90, 550), ylim=(430, 80))
+    for axes, title in (
+        (depth, "1  cloud: depth, shaded"),
+        (photo_of, "2  table and objects"),
+        (best, "3  best grasp, with a Shadow Hand"),
+    ):
+        axes.set_title(title, fontsize=TEXT_PT)
+    view, rest = TaxelView(BIOTAC_SP), model.rest
+    drawn = [finger_levels(view, prediction, rest, k) for k in (0, 1)]
+    scale = FingerScale(
+        view, [levels for levels, _ in drawn], [half for _, half in drawn if half is not None], tared=True
+    )
+    fingers = list(touch.subplots(1, 2))
+    for k, (axes, (levels, half)) in enumerate(zip(fingers, drawn, strict=True)):
+        scale.draw(axes, k, levels, half=half)
+        title_finger(axes, scale, k, view.scalars(k, prediction.value, prediction))
+    scale.add_bar(touch, fingers, shrink=0.8, aspect=30)
+    touch.suptitle(f"4  predicted touch ({', '.join(prediction.flags) or 'familiar'})", fontsize=TEXT_PT)
+    save_photo(figure, FOLDER / "steps.png")
+
+
+def draw_frames() -> None:
+    """Draw the camera's optical frame, and the frame of the hand at a grasp."""
+    things, camera = table_of_four()
+    pipeline = Pipeline()
+    grasp = pipeline.plan(pipeline.segment(Stage(things).photograph(camera).cloud(NOISE_M)).targets[0]).grasps[0]
+    body = box((0.2, 0.2, 0.22), (0.12, 0.03, 0.03), camera.eye - [0.0, 0.0, 0.015])
+    eye = looking((1.0, -1.15, 0.75), (0.05, -0.1, 0.36), 760, 640, 44.0)
+    figure = new_figure(5.0, 4.2)
+    axes = figure.subplots()
+    axes.imshow(Stage([body, *things]).look(eye))
+    hand = camera.R_world_camera @ grasp.rotation
+    triad(axes, eye, camera.eye, camera.R_world_camera, "xyz", "camera's optical frame")
+    triad(axes, eye, camera.to_world(grasp.midpoint[None])[0], hand, "XYZ", "frame of the hand")
+    for point, colour in zip((grasp.g1, grasp.g2), FINGER_COLOURS, strict=False):
+        axes.plot(
+            *on_picture(eye, camera.to_world(point[None])).T, "o", color=colour, markeredgecolor="white", markersize=6
+        )
+    axes.set(xticks=[], yticks=[])
+    save_photo(figure, FOLDER / "frames.png")
+
+
+def triad(axes: Axes, eye: CameraView, origin: Float64, rotation: Float64, letters: str, name: str) -> None:
+    """Draw the three axes of a frame of the world, 0.17 m long, as a camera sees them."""
+    start = on_picture(eye, origin[None])[0]
+    for direction, colour, letter in zip(rotation.T, AXES, letters, strict=True):
+        end, beyond = on_picture(eye, origin + np.outer([0.17, 0.2], direction))
+        axes.annotate(
+            "", end, start, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.4, "shrinkA": 0, "shrinkB": 0}
+        )
+        axes.text(*beyond, letter, color=colour, fontsize=TEXT_PT + 2, fontweight="bold", ha="center", va="center")
+    label(axes, name, (start[0] + 20, start[1] - 60), INK)
 
 
 def draw_recorded() -> None:
@@ -166,204 +467,55 @@ def draw_recorded() -> None:
         title = f"{test[k].object}: {name} of the errors of {len(test)} grasps, predicted from the cloud alone"
         rest = biotac_touch(model.rest)
         drawn.append(DrawnGrasp(prediction=prediction, read=test[k].touch, rest=rest, title=title))
-    path = save_touch_picture(FOLDER / "touch_recorded.png", drawn)
-    with Image.open(path) as image:
-        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
-
-
-@dataclass(frozen=True, eq=False)
-class DemoRun:
-    """A grasp of the can that is predicted, then executed by the simulated hand."""
-
-    cloud: Cloud  # the whole image
-    sample: Sample
-    prediction: Prediction
-    read: Touch
-
-    @property
-    def error(self) -> float:
-        """Mean difference of the electrodes [counts]."""
-        return float(np.abs(self.read.values - self.prediction.value.values)[2:].mean())
-
-    @property
-    def missed(self) -> Bool:
-        """(50,) which values were read outside of their intervals."""
-        values = self.read.values
-        return (values < self.prediction.lower.values) | (values > self.prediction.upper.values)
-
-
-def demo_run(seed: int) -> DemoRun:
-    """The can among three other objects, predicted by the model `simulated` from the cloud and a tare."""
-    from foretouch.models import load_model
-    from foretouch_lab.learning.prequential import replay_model
-    from foretouch_lab.simulation.scene import load_scene
-    from foretouch_lab.simulation.scene_camera import FrameMaker
-    from foretouch_lab.simulation.simulate import Simulation
-
-    demo = load_scene(FOLDER.parent / "config" / "scenes" / "demo.yaml")
-    changes = {"campaign.objects": 1, "campaign.grasps": 1, "clutter.count": 3, "seed": seed}
-    scene_of_can = replace(demo.updated(changes), objects=demo.objects[:1])
-    samples = list(Simulation(scene_of_can).samples(1))
-    played = replay_model(load_model("simulated"), samples).played
-    value, half = played.counts[0], played.half[0]
-    prediction = Prediction.of(samples[0].grasp, *(biotac_touch(value + sign * half) for sign in (0.0, -1.0, 1.0)))
-    made_by = (int(samples[0].extra[name]) for name in ("slot", "attempt"))
-    cloud, read = FrameMaker(scene_of_can).frame(*made_by).cloud(), samples[0].touch
-    assert read is not None  # noqa: S101  it was executed
-    return DemoRun(cloud, samples[0], prediction, read)
-
-
-def hand_corners(hand: Hand, grasp: Grasp, up: Float64, *, opened: float, away_m: float) -> Float64:
-    """(B, 8, 3) corners of a hand that comes from straight above [m]: opened by a share, and still so far away."""
-    across = (grasp.g1 - grasp.g2) / np.linalg.norm(grasp.g1 - grasp.g2)
-    ahead = -(up - (up @ across) * across)
-    ahead /= np.linalg.norm(ahead)
-    pose = np.column_stack([across, np.cross(ahead, across), ahead])
-    return np.asarray(hand.opened(grasp.width_m, opened) @ pose.T + grasp.midpoint - away_m * ahead, np.float64)
-
-
-class DemoPicture:
-    """The panels of the moving picture: depth image, hand, and the taxels of both fingers, predicted and read."""
-
-    def __init__(self, run: DemoRun) -> None:
-        self.run = run
-        self.scene: Scene = Pipeline().segment(run.cloud)
-        self.hand = load_hand("shadow_thumb_middle")
-        self.figure = plt.figure(figsize=(9.6, 4.6), dpi=80)
-        self.image = self.figure.add_axes((0.01, 0.14, 0.31, 0.78), xticks=[], yticks=[])
-        self.space = self.figure.add_axes((0.325, 0.14, 0.3, 0.78), projection="3d")
-        left, bottom, size = (0.635, 0.82), (0.58, 0.14), (0.17, 0.32)
-        self.taxels = [[self.figure.add_axes((x, y, *size)) for x in left] for y in bottom]
-        for panel in (self.space, *self.taxels[0], *self.taxels[1]):
-            panel.set_axis_off()
-        self.text = self.figure.text(0.5, 0.035, "", ha="center", fontsize=14)
-        self.view = TaxelView(BIOTAC_SP)
-        self.scale = FingerScale(
-            self.view, [self.levels(finger, read) for finger in (0, 1) for read in (0, 1)], tared=True
-        )
-
-    def levels(self, finger: int, read: int) -> Float64:
-        """(24,) how far contact moves the electrodes of a finger, predicted or read [counts]."""
-        touch = self.run.read if read else self.run.prediction.value
-        return self.view.levels(touch.values, self.run.sample.tare, finger)
-
-    def draw_image(self) -> None:
-        """Draw the depth image."""
-        depth = self.run.cloud.xyz[..., 2]
-        self.image.imshow(depth, cmap="cividis_r", vmin=float(np.nanmin(depth)))
-        self.image.set_title("depth image", fontsize=12)
-        self.image.set(
-            xlim=(0.2 * depth.shape[1], 0.8 * depth.shape[1]), ylim=(0.88 * depth.shape[0], 0.12 * depth.shape[0])
-        )
-
-    def draw_objects(self) -> None:
-        """Outline the objects, the target in the colour of its points."""
-        target = self.scene.near(self.run.sample.grasp.g1)
-        for item in self.scene.objects:
-            inside = (self.scene.labels == int(item.id)).astype(float)
-            self.image.contour(inside, levels=[0.5], colors="tab:orange" if item is target else "white", linewidths=2.0)
-        self.image.set_title("depth image and objects", fontsize=12)
-
-    def draw_hand(self, *, opened: float, away_m: float) -> None:
-        """Draw the object and the hand, seen from the side, what is outside of the panel is cut."""
-        self.space.clear()
-        self.space.set_axis_off()
-        assert self.scene.table is not None  # noqa: S101  the scene has one
-        grasp, up = self.run.sample.grasp, self.scene.table.normal
-        points = thinned(self.run.sample.cloud.xyz)
-        self.space.scatter(*points.T, s=4, c="tab:orange", linewidths=0)
-        corners = hand_corners(self.hand, grasp, up, opened=opened, away_m=away_m)
-        for part, box in zip(self.hand.parts, corners, strict=True):
-            colour = PARTS.get(part, "lightgray")
-            self.space.add_collection3d(
-                Poly3DCollection(box[FACES], facecolors=colour, edgecolors="black", linewidths=0.4, alpha=0.55)
-            )
-        middle = grasp.midpoint + 0.03 * up
-        self.space.set(**{f"{axis}lim": (at - 0.085, at + 0.085) for axis, at in zip("xyz", middle, strict=True)})
-        self.space.invert_zaxis()
-        self.space.invert_yaxis()
-        across = grasp.g1 - grasp.g2
-        self.space.view_init(elev=12, azim=float(np.degrees(np.arctan2(across[1], across[0]))) + 65)
-        self.space.set_title("grasp on a Shadow Hand", fontsize=12)
-
-    def draw_touch(self, read: int) -> None:
-        """Draw the taxels of both fingers, predicted or read."""
-        for finger, name in enumerate(("thumb", "middle finger")):
-            panel = self.taxels[finger][read]
-            panel.set_axis_on()
-            outside = self.run.missed[self.view.columns(finger)] if read else None
-            self.scale.draw(panel, finger, self.levels(finger, read), outside=outside)
-            panel.set_title(f"{name}: {('predicted', 'read')[read]}", fontsize=11)
-
-    def frames(self) -> Iterator[tuple[Image.Image, int]]:
-        """Each image, and how long it is shown [ms]."""
-        self.draw_image()
-        yield self.frame("A depth camera looks at a table."), 1500
-        self.draw_objects()
-        yield self.frame("foretouch finds the objects …"), 1500
-        for away_m in (0.12, 0.09, 0.06, 0.03, 0.0):
-            self.draw_hand(opened=1.0, away_m=away_m)
-            yield self.frame("… plans a grasp for the hand …"), 250
-        self.draw_touch(0)
-        yield self.frame("… and predicts what the fingertips will read, before they touch."), 3000
-        for opened in (0.75, 0.5, 0.25, 0.0):
-            self.draw_hand(opened=opened, away_m=0.0)
-            yield self.frame("The hand closes."), 250
-        self.draw_touch(1)
-        inside = int((~self.run.missed[2:]).sum())
-        yield (self.frame(f"{inside} of 48 electrodes read within their 90 % intervals (others are ringed)."), 4000)
-
-    def frame(self, text: str) -> Image.Image:
-        """The picture as it is, above a line of text."""
-        self.text.set_text(text)
-        held = io.BytesIO()
-        self.figure.savefig(held, format="png", facecolor="white")
-        return Image.open(held).convert("RGB")
-
-
-def draw_demo() -> None:
-    """Draw the moving picture of README."""
-    runs = [demo_run(seed) for seed in range(RUNS)]
-    errors = [run.error for run in runs]
-    seed = int(np.argsort(errors, kind="stable")[(RUNS - 1) // 2])
-    frames, durations = zip(*DemoPicture(runs[seed]).frames(), strict=True)
-    colours = frames[-1].quantize(96, Image.Quantize.MAXCOVERAGE)
-    shown = [frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames]
-    path = FOLDER / "demo.gif"
-    shown[0].save(path, save_all=True, append_images=shown[1:], duration=durations, loop=0, optimize=True)
-    print(f"{path}: seed {seed}, mean error {errors[seed]:.1f} counts (all: {min(errors):.1f} to {max(errors):.1f})")  # noqa: T201
+    save_touch_picture(FOLDER / "touch_recorded.png", drawn)
+    shrink(FOLDER / "touch_recorded.png")
 
 
 def draw_hands() -> None:
-    """Draw the first grasp of each hand on the same object, for docs/hands.md."""
-    seen = np.load(FOLDER.parent / "examples" / "data" / "table_depth.npz")
-    target = Pipeline().segment(Cloud.from_depth(seen["depth"], seen["K"])).objects[0]
+    """Draw the first grasp of each hand on the same can, for docs/hands.md."""
+    things = [turned(RED, ((1e-4, 0.0), (0.033, 0.0), (0.033, 0.12), (1e-4, 0.12)), (0.0, 0.0, 0.0), lying=0.6)]
+    camera = CameraView.towards_table(640, 480, 0.75, np.radians(20.0))
+    cloud = Stage(things).photograph(camera).cloud(NOISE_M)
     pictures = []
-    for name in ("shadow_thumb_middle", "franka_hand", "robotiq_2f85"):
-        grasps = Pipeline(PipelineConfig().updated({"hand.name": name})).plan(target).grasps
-        figure = draw_scene(target, grasps)
-        figure.suptitle(name.replace("_", " "))
+    for name in (HAND, "franka_hand", "robotiq_2f85"):
+        pipeline = Pipeline(PipelineConfig().updated({"hand.name": name}))
+        scene = pipeline.segment(cloud)
+        figure = draw_scene(scene, pipeline.plan(scene.targets[0]).grasps, panels=("image", "side"))
+        figure.suptitle(name, fontsize=TEXT_PT, fontweight="bold")
         held = io.BytesIO()
         figure.savefig(held, format="png", dpi=110, facecolor="white")
         pictures.append(Image.open(held).convert("RGB"))
     sheet = Image.new("RGB", (pictures[0].width, sum(picture.height for picture in pictures)), "white")
     for row, picture in enumerate(pictures):
         sheet.paste(picture, (0, row * picture.height))
-    sheet.quantize(64).save(FOLDER / "hands.png", optimize=True)
+    sheet.save(FOLDER / "hands.png")
+    shrink(FOLDER / "hands.png")
 
 
-def main(picture: str = "") -> None:
-    """Draw one, or all of docs/concepts.md."""
-    if picture == "touch_recorded":
-        return draw_recorded()
-    if picture == "demo":
-        return draw_demo()
-    if picture == "hands":
-        return draw_hands()
-    cloud, result = scene()
-    draw_steps(cloud, result)
-    draw_frames(cloud, result)
-    return None
+def draw_bottles() -> None:
+    """Draw what `foretouch segment` finds in the recorded image of the examples."""
+    command(["segment", str(FOLDER.parent / "examples" / "data" / "bottles"), "--picture", str(FOLDER / "bottles.png")])
+    shrink(FOLDER / "bottles.png")
+
+
+PICTURES: Final[dict[str, Callable[[], None]]] = {
+    "steps": draw_steps,
+    "frames": draw_frames,
+    "segmentation_background": draw_background,
+    "segmentation_joins": draw_joins,
+    "grasps": draw_grasps,
+    "adaptation": draw_adaptation,
+    "intervals": draw_intervals,
+    "hands": draw_hands,
+    "bottles": draw_bottles,
+    "touch_recorded": draw_recorded,
+}
+
+
+def main(*names: str) -> None:
+    """Draw some pictures, or all that need no recordings."""
+    for name in names or [name for name in PICTURES if name != "touch_recorded"]:
+        PICTURES[name]()
 
 
 if __name__ == "__main__":

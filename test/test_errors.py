@@ -75,6 +75,9 @@ def test_every_error_is_pickled_and_copied_with_its_attributes() -> None:
 
 
 def test_the_error_of_a_file_leaves_the_worker_that_read_it(tmp_path: Path) -> None:
-    with multiprocessing.get_context("fork").Pool(1) as pool, pytest.raises(FileError, match=r"absent\.pcd") as caught:
-        pool.map_async(read_bytes, [tmp_path / "absent.pcd"]).get(60)
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        with pytest.raises(FileError, match=r"absent\.pcd") as caught:
+            pool.map_async(read_bytes, [tmp_path / "absent.pcd"]).get(60)
+        pool.close()  # so that it ends by itself: it inherits the handlers of signals that ROS leaves behind
+        pool.join()
     assert (caught.value.path, caught.value.rule) == (tmp_path / "absent.pcd", "No such file or directory")

@@ -19,7 +19,7 @@ from run_builders import quiet, run_config, stop_after, write_store
 
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import write_cloud
-from foretouch.dataset.formats import FORMATS
+from foretouch.dataset.formats import exported_formats
 from foretouch.errors import FileError
 from foretouch.models.history_keeper import HistoryFile
 from foretouch.models.touch_model import History, TouchModel
@@ -104,7 +104,7 @@ def test_a_run_folder_keeps_its_last_state_and_resumes(disk: Path, tmp_path: Pat
 
 def test_an_export_or_a_build_that_does_not_fit_leaves_nothing(disk: Path, tmp_path: Path, capsys) -> None:
     write_dataset(tmp_path / "ds", 12, points=12_000)
-    names = [one.name for one in FORMATS if one.exported]
+    names = exported_formats()
     assert len(names) >= 3
     commands = {name: ["dataset", "export", "--format", name] for name in names} | {"store": ["dataset", "build"]}
 

@@ -85,8 +85,8 @@ SCENE = str(ROOT / "config/scenes/clean.yaml")
         (
             "foretouch_lab",
             {
-                "simulate": ["simulate", "scene.yaml", "-n", "1", "-o", "store"],
-                "dataset build": ["dataset", "build", "session", "-o", "store"],
+                "command simulate": ["simulate", "scene.yaml", "-n", "1", "-o", "store"],
+                "command dataset.build": ["dataset", "build", "session", "-o", "store"],
                 f"--source {SCENE}": ["run", "--source", SCENE],
             },
         ),
@@ -95,7 +95,8 @@ SCENE = str(ROOT / "config/scenes/clean.yaml")
 )
 def test_a_command_without_the_laboratory_names_the_extra_to_install(blocked, commands, tmp_path) -> None:
     for user, answer in zip(commands, _answers_without((blocked,), [*commands.values()], tmp_path), strict=True):
-        line = f"foretouch: {user}: {blocked} is not installed: pip install 'foretouch[lab]'"
+        cure = "'foretouch[lab]'" if blocked == "embreex" else "--force-reinstall foretouch"
+        line = f"foretouch: {user}: {blocked} is not installed: pip install {cure}"
         assert [one for one in answer.splitlines() if one.startswith("foretouch: ")] == [line]
         assert "Traceback" not in answer
 

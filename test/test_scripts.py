@@ -27,7 +27,7 @@ OPTIONAL = {
     "geometry_msgs",
     "moveit_msgs",
 }  # extras
-SCRIPTS = sorted([*ROOT.glob("benchmarks/**/*.py"), *ROOT.glob("examples/*.py"), ROOT / "docs" / "drawings.py"])
+SCRIPTS = sorted([*ROOT.glob("benchmarks/**/*.py"), *ROOT.glob("examples/*.py"), *ROOT.glob("docs/*.py")])
 
 
 def check(script: Path) -> None:

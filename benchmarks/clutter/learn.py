@@ -93,7 +93,8 @@ class Recorder:
 
     def use(self, trees: Float32) -> None:
         """Rate with these trees from now on."""
-        parts._trees = lambda: trees  # type: ignore[assignment]  # noqa: SLF001
+        prepared = parts.Trees.of(trees)
+        parts._trees = lambda: prepared  # type: ignore[assignment]  # noqa: SLF001
 
     def __call__(
         self, xyz: Float32, window: Clusters, cell: int, settings: Float64

@@ -13,6 +13,8 @@ from multiprocessing import Pool
 from pathlib import Path
 from typing import Any, Final
 
+from safetensors.numpy import load_file
+
 from benchmarks.clutter import learn, whole
 from benchmarks.clutter.metrics import SceneScore
 from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, real_sources
@@ -35,8 +37,8 @@ def without(folder: Path, source: str) -> Float32:
 
 def answers(scenes: Sequence[LabelledCloud], trees: Float32) -> Answers:
     """The scores of scenes by trees."""
-    usual = parts._trees  # noqa: SLF001  as `learn.Recorder`
-    parts._trees = lambda: trees  # type: ignore[assignment]  # noqa: SLF001
+    usual, prepared = parts._trees, parts.Trees.of(trees)  # noqa: SLF001  as `learn.Recorder`
+    parts._trees = lambda: prepared  # type: ignore[assignment]  # noqa: SLF001
     try:
         return [whole.answer(scene) for scene in scenes]
     finally:
@@ -45,7 +47,7 @@ def answers(scenes: Sequence[LabelledCloud], trees: Float32) -> Answers:
 
 def fold(folder: Path, data: Path, source: str) -> dict[str, tuple[Answers, Answers]]:
     """The scores of the whole images of a source, and of those of its database, by trees without it and by those in use."""
-    trees, used = without(folder, source), parts._trees()  # noqa: SLF001
+    trees, used = without(folder, source), load_file(parts.TREES)["trees"]
     scenes = real_sources(data)[source]
     sets = {source: [one for one in scenes if one.kind == source], f"{source} database": [one for one in scenes if one.kind != source]}  # fmt: skip
     return {name: (answers(some, trees), answers(some, used)) for name, some in sets.items() if some}
@@ -81,7 +83,7 @@ def main() -> None:
         found = workers.map(partial(fold, options.scenes, data), real_sources(data), chunksize=1)
     rows = table({name: pair for one in found for name, pair in one.items()})
     for folder in options.also:
-        same = answers(list(load_scenes(folder)), parts._trees())  # noqa: SLF001
+        same = answers(list(load_scenes(folder)), load_file(parts.TREES)["trees"])
         rows += table({f"{folder.name.split('-')[0]}": (same, same)})[:1]
     print_rows(rows)
     if options.write:

@@ -276,7 +276,7 @@ def node_configs() -> dict[str, type[Settings]]:
     """Return the settings of each node by its name."""
     from foretouch.ros.nodes import NODES
 
-    return {name: load().config_class for name, load in NODES.items()}
+    return {name: NODES.load(name).config_class for name in NODES}
 
 
 def parameters() -> str:
@@ -359,7 +359,7 @@ def graph() -> dict[str, Ends]:
     from rclpy.context import Context
     from rclpy.parameter import Parameter
 
-    from foretouch.ros.nodes import NODES, node_class
+    from foretouch.ros.nodes import NODES
 
     ends_of: dict[str, Ends] = {"topic": {}, "service": {}, "action": {}}
     context = Context()
@@ -375,7 +375,7 @@ def graph() -> dict[str, Ends]:
         for name in NODES:
             values = {**needed.get(name, {}), "autostart": False}
             overrides = [Parameter(key, value=value) for key, value in values.items()]
-            node = node_class(name)(parameter_overrides=overrides, context=context)
+            node = NODES.load(name)(parameter_overrides=overrides, context=context)
             node.trigger_configure()
             own = node.get_name(), node.get_namespace()
             for kind, end, pairs in (
@@ -406,18 +406,20 @@ def parser_of(command: str) -> CommandParser:
 
 def command_names() -> list[str]:
     """Return all commands, and the actions of each command that has actions."""
-    from foretouch.cli.main import COMMANDS
+    from foretouch.cli.commands import COMMANDS
 
     return [
         name
         for command in COMMANDS
+        if "." not in command
         for name in (command, *(f"{command} {action}" for action in parser_of(command).commands))
     ]
 
 
 def commands() -> str:
     """Return every command with its arguments, options and exit status."""
-    from foretouch.cli.main import COMMANDS, command_module, main
+    from foretouch.cli.commands import COMMANDS
+    from foretouch.cli.main import main
 
     parts = ["## Exit status", _status(main)]
     for name in command_names():
@@ -425,7 +427,7 @@ def commands() -> str:
         usage = " ".join(parser.format_usage().removeprefix("usage: ").split())
         parts += [f"{'###' if ' ' in name else '##'} `{name}`", parser.description or "", f"```text\n{usage}\n```"]
         if name in COMMANDS:
-            parts.append(_status(command_module(name).run))
+            parts.append(_status(COMMANDS.load(name).load(name).run))
         parts.append(table(["argument", "meaning"], [_option_row(action) for action in parser.declared]))
     return sections(parts)
 

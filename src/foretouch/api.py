@@ -3,16 +3,16 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy.typing as npt
 
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
+from foretouch.doors import FUNCTIONS, needs_extras
 from foretouch.errors import TactileError
 from foretouch.files import as_path
 from foretouch.grasp.messages import decode_predictions
-from foretouch.laboratory import needs_laboratory
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Cloud, Grasps, Prediction, Predictions, Sample
@@ -21,7 +21,23 @@ from foretouch.types.scene import Object, Scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from foretouch_lab.learning.training.compare import Evaluation
+
+class Scores(Protocol):
+    """Scores of models and baselines on the same held-out samples; `print` shows them as a table.
+
+    Attributes:
+        scores: By split, predictor and modality: `rmse` and `interval_score` in the unit of the sensor, `nrmse`, `skill`, `coverage90`.
+        samples: By split, how many samples were scored.
+        notes: How each model was held out, a line each.
+    """
+
+    scores: dict[str, dict[str, dict[str, dict[str, float]]]]
+    samples: dict[str, int]
+    notes: tuple[str, ...]
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each split and predictor as plain data."""
+        ...
 
 
 def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: PipelineConfig | None = None) -> Scene:
@@ -133,10 +149,8 @@ def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "conta
         DatasetError: If there are too few samples, or one cannot be used.
         MissingDependencyError: If the laboratory is not installed.
     """
-    with needs_laboratory("foretouch.fit"):
-        from foretouch_lab.learning.training.fit import fit as fit_model
-
-        return fit_model(samples, recipe, settings)
+    model: TouchModel = _trained("fit", samples, recipe, settings)
+    return model
 
 
 def calibrate(
@@ -171,10 +185,9 @@ def calibrate(
         DatasetError: If there are too few samples, or one cannot be used.
         MissingDependencyError: If the laboratory is not installed.
     """
-    with needs_laboratory("foretouch.calibrate"):
-        from foretouch_lab.learning.training.own import calibrate as calibrate_own
-
-        return calibrate_own(predictor, samples, split, name=name, refit=refit, seed=seed, workers=workers)
+    options = {"name": name, "refit": refit, "seed": seed, "workers": workers}
+    model: TouchModel = _trained("calibrate", predictor, samples, split, **options)
+    return model
 
 
 def evaluate(
@@ -185,7 +198,7 @@ def evaluate(
     refit: bool | None = None,
     seed: int = 0,
     workers: int = 1,
-) -> "Evaluation":
+) -> Scores:
     """Score a model and every baseline on the same held-out samples; requires `foretouch[lab]`.
 
     Args:
@@ -206,10 +219,15 @@ def evaluate(
         ModelError: If a predictor fails, or returns what cannot be used.
         MissingDependencyError: If the laboratory is not installed.
     """
-    with needs_laboratory("foretouch.evaluate"):
-        from foretouch_lab.learning.training.scoring import evaluate as evaluate_models
+    scores: Scores = _trained("evaluate", models, samples, splits, refit=refit, seed=seed, workers=workers)
+    return scores
 
-        return evaluate_models(models, samples, splits, refit=refit, seed=seed, workers=workers)
+
+def _trained(name: str, *args: Any, **options: Any) -> Any:
+    """Call a function of training, which a robot need not have."""
+    user = f"foretouch.{name}"
+    with needs_extras(user):
+        return FUNCTIONS.load(name, user)(*args, **options)
 
 
 def draw(

@@ -66,13 +66,23 @@ class BoundedQueue(Generic[_Item]):
             self._wait(timeout_s)
             return [self._pop() for _ in range(len(self._items))]
 
-    def close(self, discard: str = "") -> None:
-        """Drop what is put from now on and release blocked threads; items are dropped too for the reason `discard`."""
+    def close(self, discard: str = "", then: str = "") -> None:
+        """Drop what is put from now on and release blocked threads.
+
+        Args:
+            discard: Why the items are dropped, too; "" keeps them.
+            then: Why items are dropped from now on; by default as the items, or `closed`.
+        """
         with self._changed:
-            self._closed_reason = discard or "closed"
+            self._closed_reason = then or discard or "closed"
             while discard and self._items:
                 self._drop(self._pop(), discard)
             self._changed.notify_all()
+
+    def open(self) -> None:
+        """Take items again after `close`."""
+        with self._changed:
+            self._closed_reason = ""
 
     @property
     def closed(self) -> bool:

@@ -143,28 +143,30 @@ class Pipeline(Summarised):
         """
         require_cloud(cloud)
         if mask is not None:
-            scene = segment_mask(cloud, mask, self.config.segmentation)
+            scene, identity = segment_mask(cloud, mask, self.config.segmentation), None
         else:
             scene = segment(cloud, self.config.segmentation)
-            scene = scene if identity is None else identity.keep(scene)
+        ids = [object_.id for object_ in scene.objects] if identity is None else identity.ids(scene)
         if scene.status != "ok":
             return scene
-        solid = [part for part in scene.background if part.background != "floating"]
-        obstacles = Obstacles.of([(int(object_.id), object_.cloud.xyz) for object_ in (*scene.objects, *solid)])
+        solid = [(0, part.cloud.xyz) for part in scene.background if part.background != "floating"]
+        named = list(zip(ids, scene.objects, strict=True))
+        obstacles = Obstacles.of([*((int(name), object_.cloud.xyz) for name, object_ in named), *solid])
         image = scene.cloud if scene.cloud.organised else None
-        objects = tuple(replace(object_, obstacles=obstacles, image=image) for object_ in scene.objects)
+        objects = tuple(replace(object_, id=name, obstacles=obstacles, image=image) for name, object_ in named)
         rule = self.config.target
         if rule.mode == "free" and objects:
             chosen, reason = select_free(objects, rule, self._loss, previous)
         else:
             chosen, reason = select_targets(objects, rule, previous)
-        flags = (AMBIGUOUS_TARGET,) if reason.startswith(AMBIGUOUS_TARGET) else ()
+        if reason.startswith(AMBIGUOUS_TARGET):
+            chosen = [replace(target, flags=(*target.flags, AMBIGUOUS_TARGET)) for target in chosen]
         return replace(
             scene,
             status="ok" if chosen else "no_target",
             reason=reason or scene.reason,
             objects=objects,
-            targets=tuple(replace(target, flags=(*target.flags, *flags)) for target in chosen),
+            targets=tuple(chosen),
             obstacles=obstacles,
         )
 

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A new format of datasets is one module and one line of the table: every command and reader then supports it."""
+"""A format of another package is one module and one entry point: every command and reader then supports it."""
 
+import sys
 from dataclasses import replace
 from types import ModuleType
 
 import numpy as np
 import pytest
+from installed_package import install
 from recording_builders import record, write_dataset
 
 from foretouch.dataset import formats
@@ -34,12 +36,14 @@ def _export(samples, out, result, progress) -> None:
 
 
 @pytest.fixture
-def numbers(monkeypatch) -> None:
+def numbers(monkeypatch, tmp_path) -> None:
     """A format of files with the number of a record each: its module and its line."""
     module = ModuleType("numbers_format")
     module.__dict__.update(recognise=lambda path: any(path.glob("*.number")), open_set=_open, export=_export)
-    line = formats.FormatEntry("numbers", "files of numbers", lambda: module, (), ("*.number",), exported=True)
-    monkeypatch.setattr(formats, "FORMATS", (line, *formats.FORMATS))
+    module.ENTRY = formats.FormatEntry("files of numbers", module.__name__, (), ("*.number",), exported=True)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    install(tmp_path / "site", {"foretouch.formats": {"numbers": f"{module.__name__}:ENTRY"}})
+    monkeypatch.syspath_prepend(tmp_path / "site")
 
 
 @pytest.mark.usefixtures("numbers")

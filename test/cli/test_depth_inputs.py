@@ -35,3 +35,20 @@ def test_a_recorded_depth_image_has_the_answer_of_the_array(tmp_path: Path, caps
     first = expected.targets[0].predictions[0]
     assert predicted["grasp"]["g1"] == first.grasp.g1.tolist()
     assert predicted["E_MF"]["value"] == first.value["E_MF"].tolist()
+
+
+def test_the_recorded_image_of_the_examples_has_its_three_objects(capsys: pytest.CaptureFixture[str]) -> None:
+    folder = Path(__file__).parents[2] / "examples" / "data" / "bottles"
+    assert main(["segment", str(folder), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["objects"]
+    heights = {
+        "detergent": (0.65, 0.21),
+        "bleach": (0.69, 0.25),
+        "milk": (0.77, 0.22),
+    }  # from the camera; of the object [m]
+    sure = sorted((one for one in found if one["confidence"] > 0.9), key=lambda one: one["centroid"][2])
+    for object_, (away, height) in zip(sure, heights.values(), strict=True):
+        assert object_["centroid"][2] == pytest.approx(away, abs=0.03)
+        low, high = object_["bounds"]
+        assert high[1] - low[1] == pytest.approx(height, abs=0.05)
+    assert "Redistributions of source code must retain" in (folder / "LICENSE").read_text(encoding="utf-8")

@@ -13,22 +13,30 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from every_case import every_case
-from scene_builders import write_scenes
+from scene_builders import scene_cloud, write_scenes
 
 from foretouch.cli import run as run_command
 from foretouch.cli.parser import CommandParser
+from foretouch.dataset.bag_writer import write_bag
 from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.source import open_source
 from foretouch.errors import ModelError
 from foretouch.models.registry import find_card
+from foretouch.pipeline import Pipeline
 from foretouch.ros.nodes.monitor import View
+from foretouch.stream import Stream
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.description import packaged_sensor, with_sensor
+from foretouch.types import Cloud
+from foretouch.types.arrays import plain
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+FRAME = "camera_depth_optical_frame"
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LISTENER = EXAMPLES / "listen_touch.py"
 CAMERA = f"""
@@ -81,6 +89,41 @@ def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path, environment)
     assert "second graph" not in err
     assert len({answer["stamp_ns"] for answer in answers}) == 5
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_run_predict_and_a_stream_in_python_answer_a_recording_alike_to_the_bit(tmp_path, environment, call) -> None:
+    """Ids, targets and kept grasps, too: the grasp changes from cloud to cloud unless it is kept."""
+    rng, still = np.random.default_rng(5), scene_cloud(2)
+    noisy = (still.xyz * (1.0 + rng.normal(0.0, 0.0006, (*still.xyz.shape[:2], 1))) for _ in range(5))
+    seen = [Cloud(xyz.astype(np.float32), None, FRAME, 10**18 + k * 10**9) for k, xyz in enumerate(noisy)]
+    write_bag(tmp_path / "bag", seen)
+    status, (*lines, last), err = run(environment, "--source", tmp_path / "bag", "--rate", 1)
+    assert (status, last["answered"]) == (0, len(seen)), err
+    predicted = call("predict", tmp_path / "bag", "--target", "nearest", "--json").records
+    stream, held = Stream(), []
+    for line, record, item in zip(lines, predicted, open_source(tmp_path / "bag"), strict=True):
+        result = stream.answer(item.cloud)
+        (target,) = result.targets
+        played, (own,) = line["predictions"], record["predictions"]
+        assert len(played) == len(target.plan.grasps) == 1
+        assert played[0]["object"] == record["object"] == target.target.id
+        for name, value in target.predictions.to_dict()["predictions"][0].items():
+            assert own[name] == plain(value), name
+            assert as_sent(played[0][name]) == as_sent(plain(value)), name
+        held.append(own["grasp"]["g1"])
+    assert held[1:] == held[:-1] or len({tuple(g1) for g1 in held}) < len(held)
+    alone = [Pipeline(stream.config).run(cloud).targets[0].plan.grasps.g1[0].tolist() for cloud in seen]
+    assert alone != held, "nothing had to be kept"
+
+
+def as_sent(value: Any) -> Any:
+    """Numbers as a message holds them, float32."""
+    if isinstance(value, dict):
+        return {key: as_sent(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [as_sent(item) for item in value]
+    return float(np.float32(value)) if isinstance(value, float) else value
 
 
 @pytest.mark.slow
@@ -178,7 +221,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     }
     for name, text in files.items():
         (tmp_path / f"{name}.yaml").write_text(text)
-    parser = CommandParser(prog="foretouch run")
+    parser = CommandParser("foretouch run --source camera", prog="foretouch run")
     run_command.add_arguments(parser)
 
     def model(*words: str) -> str | None:
@@ -197,7 +240,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
 def test_grasps_on_a_scene_are_planned_for_the_hand_that_it_names(tmp_path) -> None:
     (tmp_path / "scene.yaml").write_text("hand: franka_hand\n")
     (tmp_path / "own.yaml").write_text("foretouch: {perception: {ros__parameters: {hand.name: two_tips}}}")
-    parser = CommandParser(prog="foretouch run")
+    parser = CommandParser("foretouch run --source camera", prog="foretouch run")
     run_command.add_arguments(parser)
 
     def perception(*words: str) -> dict[str, Any]:

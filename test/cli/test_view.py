@@ -2,6 +2,7 @@
 """`view` writes real Rerun files, which are read back by Rerun."""
 
 import ctypes.util
+import io
 import json
 import os
 import subprocess
@@ -141,6 +142,13 @@ def test_clouds_have_tables_objects_and_planned_grasps_and_no_hand_without_one(c
     a, b, c, d = record["plane"]
     np.testing.assert_allclose(corners @ [a, b, c], -d, atol=1e-6)
     np.testing.assert_allclose(corners, record["outline"], atol=1e-6)
+    photos = written.rows("/image", "EncodedImage:blob")
+    with Image.open(io.BytesIO(bytes(photos[0][0]))) as photo:
+        assert photo.size[0] > photo.size[1] > 100
+    outlines = written.rows("/image/objects", "LineStrips2D:strips")[0]
+    assert len(outlines) >= len(record["objects"])
+    assert min(map(len, outlines)) > 10
+    assert list(written.rows("/image/grasp", "Points2D:positions")) == [0, 2]  # none in the empty scene
     assert list(written.rows("/scene/thumb/taxels", "Points3D:positions")) == [0, 2]
     for path in ("/scene/thumb", "/scene/hand", "/scene/objects"):
         assert 1 in written.rows(path, "Clear:is_recursive")

@@ -17,7 +17,8 @@ from command_answer import Answer
 from every_case import every_case
 from PIL import Image
 
-from foretouch.cli.main import COMMANDS, command_parser
+from foretouch.cli.commands import COMMANDS
+from foretouch.cli.main import command_parser
 
 PATHS = {"IN", "DS", "SRC", "FILE", "YAML", "NAME|YAML", "F|sample", "PATH", "SCENE", "CONFIG", "MODEL", "DATASET", "SENSOR", "HAND"} | {
     "DIR|FILE|SCENE|TOPIC|camera"
@@ -89,7 +90,7 @@ SAME = {  # read by the same code as above
 def declared() -> set[tuple[str, str]]:
     """Every option that takes the path of something that is read, by command."""
     found = set()
-    for name in COMMANDS:
+    for name in (one for one in COMMANDS if "." not in one):
         parser = command_parser(name).commands[name]
         for full, one in (
             {name: parser} | {f"{name} {action}": one for action, one in parser.commands.items()}

@@ -13,7 +13,7 @@ from counted_work import calls_at_most
 from every_case import every_case
 from recording_builders import IDENTITY, QUICK, assert_same_sample, read_folder, record, write_dataset
 
-from foretouch.dataset.formats import FORMATS, export_samples, open_samples
+from foretouch.dataset.formats import export_samples, exported_formats, open_samples
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording.sample_codec import encode_sample
@@ -147,7 +147,7 @@ def test_every_export_imported_again_is_equal(dataset: Path, tmp_path: Path) -> 
             np.testing.assert_array_equal(back.touch.values, made.touch.values)
             assert back.extra["TDC_TH"] == 2100.5
 
-    every_case([entry.name for entry in FORMATS if entry.exported], check)
+    every_case(exported_formats(), check)
 
 
 def test_archives_that_are_no_samples_are_refused_by_file_and_field(dataset: Path, tmp_path: Path) -> None:

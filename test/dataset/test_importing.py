@@ -101,13 +101,19 @@ def test_depth_images_are_segmented_and_the_object_of_a_grasp_is_the_nearest(tmp
     image = random_scene(rng, 424, 240, n_objects=3).render(rng, 0.001)
     k = image.K.ravel()
     info = depth_builders.info(height=240, width=424, k=k, p=np.insert(k, [3, 6, 9], 0.0))
-    topic = "/camera/depth/image_raw"
+    topic, colours = "/camera/depth/image_raw", "/camera/color/image_raw"
 
     def seen(at_ns: int) -> dict[str, tuple[str, Any]]:
         info.header = head = depth_builders.header("camera", at_ns)
         message = depth_builders.image(image.depth_mm, "16UC1", header=head)
         message.data = np.frombuffer(message.data, np.uint8)
-        kinds = {topic: ("Image", message), "/camera/depth/camera_info": ("CameraInfo", info)}  # after its first image
+        colour = depth_builders.image(image.rgb, "rgb8", header=head, step=3 * 424)
+        colour.data = np.frombuffer(colour.data, np.uint8)
+        kinds = {
+            topic: ("Image", message),
+            colours: ("Image", colour),
+            "/camera/depth/camera_info": ("CameraInfo", info),
+        }  # after its first image
         return {name: (f"sensor_msgs/msg/{kind}", content) for name, (kind, content) in kinds.items()}
 
     write_topics(tmp_path / "bag", seen=seen)
@@ -121,4 +127,5 @@ def test_depth_images_are_segmented_and_the_object_of_a_grasp_is_the_nearest(tmp
     nearest = min(objects, key=lambda one: float(np.linalg.norm(one.cloud.xyz - middle, axis=1).min()))
     for sample in open_samples(tmp_path / "ds").with_discarded():
         np.testing.assert_array_equal(sample.cloud.xyz, nearest.cloud.xyz)
+        np.testing.assert_array_equal(sample.cloud.rgb, image.rgb.reshape(-1, 3)[nearest.pixels])
         np.testing.assert_array_equal(sample.table.coefficients, scene.table.coefficients)

@@ -93,6 +93,8 @@ def test_threads_and_forked_processes_read_what_one_reader_reads(dataset: Path) 
         assert list(threads.map(Reading(samples), ORDER)) == alone
     with multiprocessing.get_context("fork").Pool(2) as pool:
         assert pool.map_async(Reading(samples), ORDER[:48], chunksize=1).get(60) == alone[:48]
+        pool.close()  # so that they end by themselves: they inherit the handlers of signals that ROS leaves behind
+        pool.join()
 
 
 def test_iterators_of_one_set_do_not_disturb_each_other(dataset: Path) -> None:

@@ -11,7 +11,7 @@ from seen_solids import Camera, Solid, box, can
 from foretouch.grasp import GeoGraspConfig, HandConfig, plan_grasps
 from foretouch.grasp.completed import MAY_NOT_FIT
 from foretouch.grasp.geograsp import GraspPlan
-from foretouch.grasp.messages import decode_grasp, grasp_fields
+from foretouch.grasp.messages import decode_grasp, encode_grasp
 from foretouch.types import Grasp
 
 SOLIDS = {"can": can(0.033, 0.1), "box": box(0.06, 0.09, 0.08), "low box": box(0.05, 0.12, 0.05)}
@@ -58,6 +58,6 @@ def test_a_grasp_that_may_not_fit_the_hand_is_flagged_and_one_that_does_not_is_r
 
 def test_the_bound_of_a_message_before_it_is_unknown() -> None:
     (grasp,) = plan_of(SOLIDS["can"], Camera(60.0)).grasps
-    fields = vars(grasp_fields(replace(grasp, way=None)))
+    fields = vars(encode_grasp(replace(grasp, way=None)))
     assert decode_grasp(SimpleNamespace(**fields)).way is None
     assert np.isfinite(grasp.way.width_at_most_m)

@@ -32,7 +32,7 @@ def test_a_predictor_is_an_object_a_class_or_a_name() -> None:
     [
         ("own_predictors:Nothing", "own_predictors:Nothing: AttributeError: module 'own_predictors' has no attribute"),
         ("no_such_module:Mine", "no_such_module:Mine: ModuleNotFoundError: No module named"),
-        ("mine", "mine: is neither module:attribute nor an entry point of the group foretouch.models"),
+        ("mine", r"mine \(which is no module:attribute\): is no entry point of the group foretouch.models"),
         (object(), r"builtins:object has no estimate\(cloud, grasps, table=None\)"),
         (NoTable, r"own_predictors:NoTable.estimate must take \(cloud, grasps, table=None\): too many positional"),
     ],

@@ -27,7 +27,7 @@ def lines_of(scene: ft.Scene) -> list[np.ndarray]:
     """The corners of all outlines of objects, as columns and rows."""
     axes = Figure().subplots()
     draw_scene_image(axes, scene, None)
-    return [path.vertices for collection in axes.collections for path in collection.get_paths()]
+    return [line.get_xydata() for line in axes.lines]
 
 
 def test_outlines_lie_where_labels_end_and_cross_no_object(slit_scene):

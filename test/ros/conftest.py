@@ -38,7 +38,7 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
-from foretouch.ros.nodes import node_class  # noqa: E402
+from foretouch.ros.nodes import NODES  # noqa: E402
 from foretouch.ros.runtime.internal_errors import InternalErrors, spin_on  # noqa: E402
 
 _domains = itertools.count()
@@ -95,7 +95,7 @@ class Graph:
         made = []
         for name in names:
             looks = {"input": "points"} if name in {"perception", "segmentation"} else {}  # most tests send clouds
-            made.append(node_class(name)(parameter_overrides=_parameters(looks | parameters)))
+            made.append(NODES.load(name)(parameter_overrides=_parameters(looks | parameters)))
         for node in made:
             self.serve(node)
             node.autostart()

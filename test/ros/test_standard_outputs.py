@@ -56,6 +56,14 @@ def test_a_label_is_one_number_of_16_bits_and_never_0_for_an_object():
         "ok", "", Cloud(cloud.xyz, np.full((2, 3, 3), 7, np.uint8)), None, (), (), np.empty((0, 3)), labels, {}, {}
     )
     assert rgb(overlay_to_msg(coloured, message.header))[0, 0].tolist() == [7, 7, 7]
+    square = np.zeros((9, 9), np.int32)
+    square[2:7, 2:7] = 1
+    cloud = Cloud(np.ones((9, 9, 3), np.float32), np.full((9, 9, 3), 7, np.uint8))
+    scene = Scene("ok", "", cloud, None, (), (), np.empty((0, 3)), square, {}, {})
+    outlined = (rgb(overlay_to_msg(scene, message.header)) == (0, 166, 214)).all(axis=2)  # the colour of id 1
+    inner = np.zeros_like(outlined)
+    inner[3:6, 3:6] = True
+    assert_array_equal(outlined, (square == 1) & ~inner)
     nothing = Scene("no_plane", "", Cloud(np.full((2, 3, 3), np.nan, np.float32)), None, (), (), np.empty((0, 3)),
                     np.zeros((2, 3), np.int32), {}, {})  # fmt: skip
     assert not rgb(overlay_to_msg(nothing, message.header)).any()

@@ -19,6 +19,11 @@ class RealSenseConfig(Settings, read_only=True):
     width: int = setting(848, "Columns of a live image", unit="px", bounds=(64, 3840))
     height: int = setting(480, "Rows of a live image", unit="px", bounds=(64, 2160))
     fps: int = setting(30, "Frames per second of a live device", unit="Hz", bounds=(1, 300))
+    color: bool = setting(
+        False,
+        "Whether the colours of the pixels are read too, and aligned with the depth images by the library; of a live device in"
+        " the smallest size that covers them",
+    )
     silence_s: float = setting(
         3.0,
         "A camera without a frame for longer is opened again; it is reported as stalled after a third of that",

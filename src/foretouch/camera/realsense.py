@@ -37,6 +37,7 @@ class CameraStatus:
     reason: str = "not opened yet"  # why, as text; empty while streaming
     device: str = ""  # name and serial number of the device; empty until one was opened
     delivered: int = 0  # images returned
+    colourless: int = 0  # images of these without colours, where they are wanted
     dropped: Mapping[str, int] = field(default_factory=dict)  # lost frames by reason
     opened: int = 0  # how often a device was opened
     failures: int = 0  # consecutive attempts without a frame
@@ -146,7 +147,8 @@ class RealSenseCamera:
         self._heard_s = now
         self._streaming = True
         self._failures = 0
-        self._update(delivered=self.status.delivered + 1)
+        colourless = self.status.colourless + (self.config.color and frame.rgb is None)
+        self._update(delivered=self.status.delivered + 1, colourless=colourless)
         self._set_state("streaming", "")
         return frame
 

@@ -14,10 +14,11 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.bounded_queue import BoundedQueue
+from foretouch.camera.colours import ColourAligner, colour_profile
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import realsense
 from foretouch.errors import CameraError
-from foretouch.types import AnyArray, Cloud
+from foretouch.types import AnyArray, Cloud, UInt8
 from foretouch.types.camera import CameraModel
 
 _LATEST_MS: Final = 2**63 / 1e6  # stamps are 64 bits of nanoseconds
@@ -25,21 +26,24 @@ _LATEST_MS: Final = 2**63 / 1e6  # stamps are 64 bits of nanoseconds
 
 @dataclass(frozen=True, eq=False)
 class DepthFrame:
-    """A depth image and its camera."""
+    """A depth image, its camera, and perhaps its colours."""
 
     depth: AnyArray  # (H, W) uint16, distance along the optical axis; 0 without depth
     scale_m: float  # metres per unit of it
     camera: CameraModel
     frame_id: str  # optical frame of the camera
     stamp_ns: int  # time of measurement [ns]
+    rgb: UInt8 | None = None  # (H, W, 3) uint8 of the same pixels, black without depth
 
     def cloud(self) -> Cloud:
         """Make the organised cloud of the image."""
-        return Cloud.from_depth(self.depth, self.camera, self.scale_m, frame_id=self.frame_id, stamp_ns=self.stamp_ns)
+        return Cloud.from_depth(
+            self.depth, self.camera, self.scale_m, frame_id=self.frame_id, stamp_ns=self.stamp_ns, rgb=self.rgb
+        )
 
 
 class FrameStream:
-    """The depth stream of a device.
+    """The depth stream of a device, and the colours of its images if the settings ask for them.
 
     Args:
         device: A `pyrealsense2.device` that is not streaming yet.
@@ -55,12 +59,30 @@ class FrameStream:
         waits = device.is_playback() and not config.real_time
         # Unlimited until the stream has started: the library must not wait while it starts.
         queue = self._queue = BoundedQueue[Any](None, when_full="wait" if waits else "drop_oldest")
-        self._sensor, profile = _find_profile(device, None if device.is_playback() else config)
+        wanted = None if device.is_playback() else config
+        number, sensor, profile = _find_profile(device, wanted)
         self._camera = library_camera(profile.as_video_stream_profile().get_intrinsics())
         self._device = device  # or the library would end a recording
+        colours = self._colours = ColourAligner() if config.color else None
+
+        def receive(frame: Any) -> None:  # not of `self`, which the library would keep alive
+            frame.keep()  # the library lends only a few otherwise
+            if colours is not None and frame.get_profile().stream_type() == realsense().stream.color:
+                colours.add(frame)
+            else:
+                queue.put(frame)
+
+        opened = {number: (sensor, [profile])}
+        if self._colours is not None:
+            number, sensor, colour = colour_profile(device, wanted)
+            opened = {number: (sensor, [colour])} | opened  # first, so that no depth image waits for it
+            if len(opened) == 1:
+                opened[number][1].append(colour)
+        self._sensors = [sensor for sensor, _ in opened.values()]
         try:
-            self._sensor.open(profile)
-            self._sensor.start(lambda frame: (frame.keep(), queue.put(frame)))  # the library lends only a few otherwise
+            for sensor, profiles in opened.values():
+                sensor.open(profiles)
+                sensor.start(receive)
         except BaseException:
             self.close()
             raise
@@ -73,17 +95,23 @@ class FrameStream:
         return self._queue.get(timeout_s)
 
     def frame(self, depth: Any) -> DepthFrame:
-        """Copy a depth frame out of the library's memory; a `CameraError` if it has no time that can be used."""
+        """Copy a depth frame out of the library's memory, with its colours if they are wanted and there are any.
+
+        Raises:
+            CameraError: If it has no time that can be used.
+        """
         stamp_ns, image = self._stamp_ns(depth, time.time_ns()), depth.as_depth_frame()
         pixels = np.array(image.get_data())
-        return DepthFrame(pixels, image.get_units(), self._camera, self._config.optical_frame, stamp_ns)
+        rgb = None if self._colours is None else self._colours.colours(depth)
+        return DepthFrame(pixels, image.get_units(), self._camera, self._config.optical_frame, stamp_ns, rgb)
 
     def close(self) -> None:
         """Stop and release the device; errors of one that was unplugged are ignored."""
         self._queue.close("closed")
-        for step in (self._sensor.stop, self._sensor.close):
-            with suppress(RuntimeError):  # never started, or unplugged: it is closed anyway
-                step()
+        for sensor in self._sensors:
+            for step in (sensor.stop, sensor.close):
+                with suppress(RuntimeError):  # never started, or unplugged: it is closed anyway
+                    step()
 
     def _stamp_ns(self, depth: Any, arrived_ns: int) -> int:
         """Hardware clocks count from when the camera was plugged in, so that they are not used by default."""
@@ -91,7 +119,7 @@ class FrameStream:
         use_arrival = {"frame": False, "arrival": True, "auto": is_hardware}[self._config.stamp]
         if use_arrival:
             return arrived_ns
-        stamp_ms = depth.get_timestamp()
+        stamp_ms = float(depth.get_timestamp())
         if not 0.0 <= stamp_ms < _LATEST_MS:
             raise CameraError(f"stamp: {stamp_ms} ms is no time; camera.stamp `arrival` takes the time of arrival")
         return round(stamp_ms * 1e6)
@@ -105,17 +133,17 @@ def library_camera(intrinsics: Any) -> CameraModel:
     return CameraModel(i.width, i.height, i.fx, i.fy, i.ppx, i.ppy, tuple(i.coeffs))
 
 
-def _find_profile(device: Any, config: RealSenseConfig | None) -> tuple[Any, Any]:
-    """Find the sensor and profile of the depth stream; of the size and rate of `config`, unless it is None."""
+def _find_profile(device: Any, config: RealSenseConfig | None) -> tuple[int, Any, Any]:
+    """Find the number, sensor and profile of the depth stream; of the size and rate of `config`, unless it is None."""
     rs, sizes = realsense(), []
-    for sensor in device.query_sensors():
+    for number, sensor in enumerate(device.query_sensors()):
         for profile in sensor.get_stream_profiles():
             if profile.stream_type() != rs.stream.depth or profile.format() != rs.format.z16:
                 continue
             video = profile.as_video_stream_profile()
             size = (video.width(), video.height(), video.fps())
             if config is None or size == (config.width, config.height, config.fps):
-                return sensor, profile
+                return number, sensor, profile
             sizes.append("{}x{}@{}".format(*size))
     if config is None or not sizes:
         raise CameraError("depth stream: the device has none of format z16")

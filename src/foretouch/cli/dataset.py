@@ -4,10 +4,12 @@
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from foretouch.cli.inputs import add_options, positive_number, seed_number
+from foretouch.cli.commands import COMMANDS, CommandEntry
+from foretouch.cli.inputs import add_options, positive_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser, one_of
 from foretouch.dataset import editing, formats
@@ -20,9 +22,9 @@ from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import only_finite, sensor_of_samples
 from foretouch.dataset.store import Store, is_store
+from foretouch.doors import needs_extras
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_existing, require_writable
-from foretouch.laboratory import needs_laboratory
 from foretouch.tactile.messages.table import TactileConfig
 
 _SHEET_SAMPLES = 12
@@ -60,17 +62,12 @@ def add_arguments(parser: CommandParser) -> None:
     )
     edit.add_argument("--undo", group=alternatives, action="store_true", help="undo the latest edit that is in force")
 
-    build = _action(parser, "build", _build, "Build a training store with splits")
-    build.add_argument("sources", metavar="IN", nargs="+", help=dataset)
-    _add_out(build, "STORE", "training store to create; must not exist")
-    build.add_argument("--seed", type=seed_number, default=0, help="random seed of the splits")
-
     _add_import(_action(parser, "import", _import, "Convert other datasets and ROS bags to a recorded dataset"))
 
     export = _action(parser, "export", _export, "Write samples in another format")
     export.add_argument("source", metavar="DS", help=dataset)
     _add_out(export, "DIR", "folder to create; must not exist")
-    exported = [entry.name for entry in formats.FORMATS if entry.exported]
+    exported = formats.exported_formats()
     export.add_argument(
         "--format",
         required=True,
@@ -89,9 +86,17 @@ def add_arguments(parser: CommandParser) -> None:
     count = "number of samples, evenly spaced over the dataset"
     show.add_argument("-n", "--count", type=positive_number, default=_SHEET_SAMPLES, help=count)
 
+    for name in (one for one in COMMANDS if one.startswith("dataset.")):
+        command: CommandEntry = COMMANDS.load(name)
+        words = name.replace(".", " ")
+        added = _action(parser, words.split()[1], partial(_added, command, words), command.summary, command.example)
+        command.load(words).add_arguments(added)
 
-def _action(parser: CommandParser, name: str, act: Callable[..., int], summary: str) -> CommandParser:
-    action = parser.add_command(name, summary)
+
+def _action(
+    parser: CommandParser, name: str, act: Callable[..., int], summary: str, example: str = ""
+) -> CommandParser:
+    action = parser.add_command(name, summary, example)
     action.set_defaults(act=act)
     action.add_json()
     return action
@@ -131,6 +136,12 @@ def _topic(text: str) -> tuple[str, str]:
 def run(arguments: argparse.Namespace) -> int:
     """Run an action; exit status 1 if something is damaged."""
     return int(arguments.act(arguments))
+
+
+def _added(command: CommandEntry, words: str, arguments: argparse.Namespace) -> int:
+    """Run an action of another package."""
+    with needs_extras(words):
+        return int(command.load(words).run(arguments))
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -278,13 +289,6 @@ def _edit(arguments: argparse.Namespace) -> int:
     else:
         print_table("edits", ["number", "edit"], [text.split(": ", 1) for text in edits])
     return 0
-
-
-def _build(arguments: argparse.Namespace) -> int:
-    with needs_laboratory("dataset build"):
-        from foretouch_lab.cli.build import run as build
-
-        return build(arguments)
 
 
 def _import(arguments: argparse.Namespace) -> int:

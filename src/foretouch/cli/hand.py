@@ -10,10 +10,10 @@ from typing import Any
 from foretouch.cli.descriptions import Descriptions
 from foretouch.cli.inputs import positive_value
 from foretouch.cli.parser import CommandParser
+from foretouch.doors import FUNCTIONS, needs_extras
 from foretouch.errors import ConfigError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.grasp.hand import hand_files, load_hand
-from foretouch.laboratory import needs_laboratory
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -42,10 +42,9 @@ def run(arguments: argparse.Namespace) -> int:
         return _HANDS.run(arguments)
     if arguments.out is not None:
         require_writable(arguments.out, *PICTURE_SUFFIXES)
-    with needs_laboratory(f"hand check --{'mesh' if arguments.urdf is None else 'urdf'}"):
-        from foretouch_lab.cli.hand_surface import run as compare
-
-        return compare(arguments)
+    user = f"hand check --{'mesh' if arguments.urdf is None else 'urdf'}"
+    with needs_extras(user):
+        return int(FUNCTIONS.load("compare_hand", user)(arguments))
 
 
 def _compares(arguments: argparse.Namespace) -> bool:

@@ -17,7 +17,8 @@ from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import CloudError, ConfigError, ForetouchError, shown
 from foretouch.files import PICTURE_SUFFIXES, require_writable
-from foretouch.pipeline import Pipeline, PipelineConfig
+from foretouch.pipeline import Pipeline
+from foretouch.stream import Stream, StreamConfig
 from foretouch.types import Cloud, Plane, Sample, assumed_table
 from foretouch.types.scene import Object, Scene
 
@@ -90,7 +91,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--target": {
         "type": one_of("nearest", "largest", "free", "all"),
         "metavar": "{nearest,largest,free,all}",
-        "help": "objects of a cloud to use; nearest is of those that are surest to be whole, free the nearest whose best grasp no other object blocks (default: nearest; all for predict)",
+        "help": "objects of a cloud to use; nearest: the nearest of the objects that are most surely whole; free: the nearest whose best grasp no other object blocks (default: nearest; all for predict)",
     },
     "--intrinsics": {
         "type": numbers,
@@ -217,12 +218,12 @@ _OPTION_OF = {
 
 def pipeline_config(
     arguments: argparse.Namespace, changes: dict[str, Any] | None = None, defaults: dict[str, Any] | None = None
-) -> PipelineConfig:
-    """Return pipeline settings from the command's `defaults`, --config, --set and its own options, in this order.
+) -> StreamConfig:
+    """Return the settings of a pipeline, or of a stream, from the command's `defaults`, --config, --set and its own options, in this order.
 
     Settings have dotted names; of the options, and of the `changes` that a command makes of others, None changes nothing.
     """
-    config = PipelineConfig().updated(defaults or {})
+    config = StreamConfig().updated(defaults or {})
     if arguments.config:
         stated = load_yaml(arguments.config)
         if not stated:
@@ -273,18 +274,22 @@ def check_single(arguments: argparse.Namespace) -> None:
         require_writable(arguments.picture, *PICTURE_SUFFIXES)
 
 
-def scene_of(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> Scene:
-    """Return the scene of a cloud, by the labels of --mask, or of the mask beside a depth image of a folder."""
+def scene_of(
+    item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline, stream: Stream | None = None
+) -> Scene:
+    """Return the scene of a cloud, by the labels of --mask, or of the mask beside a depth image of a folder; of a stream its next one."""
     file = arguments.mask or item.mask
     mask = read_mask(file) if file else None
     try:
+        if stream is not None:
+            return stream.with_target(stream.find(item.cloud, mask=mask))
         return pipeline.segment(item.cloud, mask=mask)
     except CloudError as err:
         raise CloudError(f"{file}: {err}" if file else str(err)) from err
 
 
 def target_objects(
-    item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline
+    item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline, stream: Stream | None = None
 ) -> tuple[list[Object], Scene | Object, str]:
     """Find the objects to grasp in one input: the cloud itself, or the targets of its scene.
 
@@ -303,7 +308,7 @@ def target_objects(
             raise ConfigError("--target: is for the objects of a scene, and this cloud is one object; add --scene")
         target = only_object(item.cloud, arguments, item.sample)
         return [target], target, ""
-    scene = scene_of(item, arguments, pipeline)
+    scene = scene_of(item, arguments, pipeline, stream)
     if not scene.objects:
         raise CloudError(f"{scene.status}: {scene.reason}")
     if arguments.pixel:

@@ -1,52 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch COMMAND`: run the command's module, and report known errors in one line with exit status 1.
 
-A command is a module `foretouch.cli.<name>`, or `foretouch_lab.cli.<name>` for commands of the laboratory, with `add_arguments(parser)` and `run(arguments) -> int`.
-Heavy libraries are imported inside `run`, so that `--help` is fast.
+`commands.py` lists the commands; installed packages add theirs.
 """
 
 import argparse
-import importlib
 import io
 import os
 import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from types import ModuleType
 
 from foretouch import __version__
+from foretouch.cli.commands import COMMANDS, CommandEntry
 from foretouch.cli.parser import CommandParser
+from foretouch.doors import needs_extras
 from foretouch.errors import ForetouchError, shown
 from foretouch.interrupts import end_at_once, raise_interrupts, signal_number
-from foretouch.laboratory import needs_laboratory
-
-COMMANDS = {
-    "segment": "Segment the table and the objects of each cloud",
-    "grasp": "Plan two-finger grasps on each object",
-    "predict": "Predict the tactile readings of grasps on each object",
-    "simulate": "Simulate grasps in a scene and write them to a dataset",
-    "dataset": "Inspect, verify, repair, edit and convert datasets",
-    "train": "Train a touch model from a configuration",
-    "evaluate": "Evaluate a touch model and the baselines on a dataset",
-    "experiment": "Run an experiment and write its tables, figures and manifest",
-    "benchmark": "Score touch models and baselines on the same held-out grasps: the leaderboard",
-    "tradeoff": "Measure what accuracy costs in time, and draw the frontier",
-    "run": "Run the whole ROS graph in one terminal",
-    "record": "Record grasps and tactile readings to a dataset",
-    "replay": "Replay a recording or a folder of clouds to the ROS graph",
-    "forget": "Let a running graph forget readings of the object or of the hand",
-    "view": "Show clouds, grasps and predicted touch in Rerun",
-    "models": "List and verify touch models",
-    "sensor": "List, check and draw descriptions of tactile sensors",
-    "hand": "List, check and draw descriptions of hands and grippers",
-    "doctor": "Check dependencies and print the fixes",
-}
-_LABORATORY = ("simulate", "train", "evaluate", "experiment", "benchmark", "tradeoff")
-"""Commands that need `pip install 'foretouch[lab]'`."""
-
-
-_ON_ROS = ("run", "record", "replay", "forget")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -107,18 +78,13 @@ def _run(arguments: list[str]) -> int:
     if parsed.command is None:
         parser.print_help()
         return 2
-    if parsed.command in _ON_ROS:
+    command: CommandEntry = COMMANDS.load(parsed.command)
+    if command.uses_ros:
         from foretouch.ros.runtime.environment import check_variables
 
         check_variables()
-    with needs_laboratory(parsed.command):  # some libraries are imported when they are needed
-        return int(command_module(parsed.command).run(parsed))
-
-
-def command_module(command: str) -> ModuleType:
-    """Import the module of a command; a `MissingDependencyError` if it is of the laboratory, which is not installed."""
-    with needs_laboratory(command):
-        return importlib.import_module(f"{'foretouch_lab' if command in _LABORATORY else 'foretouch'}.cli.{command}")
+    with needs_extras(parsed.command):  # some libraries are imported when they are needed
+        return int(command.load(parsed.command).run(parsed))
 
 
 def _parse(parser: CommandParser, arguments: list[str]) -> argparse.Namespace:
@@ -138,12 +104,22 @@ def command_parser(chosen: str | None) -> CommandParser:
         prog="foretouch", description="Plan two-finger grasps, and predict what tactile fingertips will read."
     )
     parser.add_argument("--version", action="version", version=f"foretouch {__version__}", help="print the version")
-    for name, summary in COMMANDS.items():
-        command = parser.add_command(name, summary)
+    for name in COMMANDS:
+        if "." in name:  # an action of a command
+            continue
+        try:
+            command: CommandEntry = COMMANDS.load(name)
+        except ForetouchError as err:  # of another package, which keeps nobody from the other commands
+            if name == chosen:
+                raise
+            if chosen not in COMMANDS:
+                print(f"foretouch: {err}", file=sys.stderr)
+            continue
+        of_command = parser.add_command(name, command.summary, command.example)
         if name == chosen:
-            command_module(name).add_arguments(command)
-            if name not in {"dataset", "hand", "sensor", "view"}:  # whose actions have it, and which prints nothing
-                command.add_json()
+            command.load(name).add_arguments(of_command)
+            if command.has_json:
+                of_command.add_json()
     return parser
 
 

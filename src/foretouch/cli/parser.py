@@ -33,41 +33,21 @@ _MORE_STATUSES: Final = {
 
 EXAMPLES: Final = {
     "": "foretouch run --source config/scenes/clean.yaml",
-    "segment": "foretouch segment scene.npz",
-    "grasp": "foretouch grasp object.pcd --plane 0,0,1,-1.27",
-    "predict": "foretouch predict object.pcd --touched session",
-    "simulate": "foretouch simulate config/scenes/rigid.yaml -n 100 -o simulated",
-    "dataset": "foretouch dataset info session",
     "dataset info": "foretouch dataset info session",
     "dataset verify": "foretouch dataset verify session",
     "dataset repair": "foretouch dataset repair session/session-0001.mcap",
     "dataset edit": "foretouch dataset edit session --relabel cup --id can/000003",
-    "dataset build": "foretouch dataset build session simulated -o store",
     "dataset import": "foretouch dataset import vision2tactile -o grasps",
     "dataset export": "foretouch dataset export session -o arrays --format npz",
     "dataset show": "foretouch dataset show session -o sheet.png",
-    "train": "foretouch train contact-v3 data=store -o can_model",
-    "evaluate": "foretouch evaluate contact-v3 store --split object",
-    "experiment": "foretouch experiment cross_validation -o out --preset quick",
-    "benchmark": "foretouch benchmark touch --model my_lab.mine:Mine -o out",
-    "tradeoff": "foretouch tradeoff model -o out",
-    "run": "foretouch run --source config/scenes/clean.yaml --count 30 --picture touch.png",
-    "record": "foretouch record -o session --object can --samples 20",
-    "replay": "foretouch replay session --rate 5",
-    "forget": "foretouch forget touches",
-    "view": "foretouch view session --save session.rrd",
-    "models": "foretouch models contact-v3",
-    "sensor": "foretouch sensor list",
     "sensor list": "foretouch sensor list",
     "sensor check": "foretouch sensor check my_sensor.yaml",
     "sensor show": "foretouch sensor show biotac_sp -o taxels.png",
-    "hand": "foretouch hand list",
     "hand list": "foretouch hand list",
     "hand check": "foretouch hand check my_gripper.yaml --urdf my_gripper.urdf -o over.png",
     "hand show": "foretouch hand show franka_hand -o hand.png",
-    "doctor": "foretouch doctor --self-test",
 }
-"""A command line for the help of each command."""
+"""A command line for the help of each action of a command, and of foretouch itself; those of commands stand with them."""
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -79,7 +59,7 @@ class CommandParser(argparse.ArgumentParser):
         headings: Groups of options in its help, by title.
     """
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, example: str = "", **options: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, add_help=False, **options)
         super().add_argument("-h", "--help", action="help", help="print this help and end")
         self.commands: dict[str, CommandParser] = {}
@@ -90,7 +70,7 @@ class CommandParser(argparse.ArgumentParser):
         width = max(shutil.get_terminal_size().columns - 4, _NARROWEST)
         statuses = textwrap.wrap(STATUSES + _MORE_STATUSES.get(name, ""), width)
         self.epilog = "\n".join(
-            ["example:", f"  {EXAMPLES[name]}", "", "exit status:", *(f"  {line}" for line in statuses)]
+            ["example:", f"  {example or EXAMPLES[name]}", "", "exit status:", *(f"  {line}" for line in statuses)]
         )
 
     def add_argument(self, *names: str, group: Any = None, **options: Any) -> argparse.Action:
@@ -121,12 +101,18 @@ class CommandParser(argparse.ArgumentParser):
         help_text = "print JSON on stdout, an object a line, and nothing else there"
         self.add_argument("--json", action="store_true", help=help_text)
 
-    def add_command(self, name: str, summary: str) -> "CommandParser":
-        """Add a command, or an action of a command, whose name is then `command` or `action` of the arguments."""
+    def add_command(self, name: str, summary: str, example: str = "") -> "CommandParser":
+        """Add a command, or an action of a command, whose name is then `command` or `action` of the arguments.
+
+        Args:
+            name: Of the command or action.
+            summary: Its line in the help.
+            example: A command line for its own help; by default the one of `EXAMPLES`.
+        """
         if self._choice is None:
             kind = "action" if " " in self.prog else "command"
             self._choice = self.add_subparsers(dest=kind, metavar=kind.upper(), required=kind == "action")
-        self.commands[name] = self._choice.add_parser(name, help=summary, description=f"{summary}.")
+        self.commands[name] = self._choice.add_parser(name, help=summary, description=f"{summary}.", example=example)
         return self.commands[name]
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:

@@ -20,12 +20,14 @@ from foretouch.cli.answers import contacts_text, modality_text
 from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
+from foretouch.doors import FUNCTIONS
 from foretouch.errors import ConfigError, GraspError
-from foretouch.laboratory import needs_laboratory
+from foretouch.grasp import GraspPlan
 from foretouch.models.predictor import UNFAMILIAR_CURE
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import Pipeline
+from foretouch.stream import Stream
 from foretouch.tactile import BIOTAC
 from foretouch.types import Grasp, Prediction, Reference, Touch
 from foretouch.types.channels import Channels
@@ -59,9 +61,16 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.grasp and arguments.hand:
         raise ConfigError("--grasp, --hand: a hand is for planned grasps; leave one out")
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
-    pipeline = Pipeline(inputs.pipeline_config(arguments, defaults=defaults))
+    config = inputs.pipeline_config(arguments, defaults=defaults)
+    pipeline = Pipeline(config)
     adaptation = read_adaptation(arguments, pipeline.model)
-    answer = partial(_answer, arguments, pipeline, adaptation)
+    streams: list[Stream] = []  # of the recordings, one after the other
+
+    def answer(item: SourceItem) -> Iterator[inputs.Record]:
+        if item.place == 0:
+            streams.append(Stream(config))
+        return _answer(arguments, pipeline, adaptation, item, None if item.place is None else streams[-1])
+
     flags: set[str] = set()
     status = inputs.process_inputs(
         arguments, answer, partial(_show, channels=pipeline.model.sensor.channels, flags=flags)
@@ -72,18 +81,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _answer(
-    arguments: argparse.Namespace, pipeline: Pipeline, adaptation: Adaptation, item: SourceItem
+    arguments: argparse.Namespace, pipeline: Pipeline, adaptation: Adaptation, item: SourceItem, stream: Stream | None
 ) -> Iterator[inputs.Record]:
-    """Iterate over predictions for each object of an input."""
-    targets, scene, selected = inputs.target_objects(item, arguments, pipeline)
+    """Iterate over predictions for each object of an input; of a recording as the next cloud of its stream."""
+    targets, scene, selected = inputs.target_objects(item, arguments, pipeline, stream)
     if adaptation.touched and len(targets) > 1:
         raise ConfigError(
             f"--touched: the cloud holds {len(targets)} objects and the touches are of one; select it with --target"
         )
-    for number, target in enumerate(targets):
-        began = time.perf_counter()
+    began = time.perf_counter()
+    plans = [None] * len(targets) if stream is None or arguments.grasp else stream.plan(targets)
+    for number, (target, plan) in enumerate(zip(targets, plans, strict=True)):
         try:
-            grasps, reason = _grasps(item, target, arguments, pipeline)
+            grasps, reason = _grasps(item, target, arguments, pipeline, plan)
         except GraspError as err:
             if len(targets) == 1:
                 raise
@@ -107,12 +117,12 @@ def _answer(
             "ms": {**ms, "total": sum(ms.values())},
             "failed": not predictions or bool(refused),
         }
+        began = time.perf_counter()
 
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
-    with needs_laboratory("--prequential"):
-        from foretouch_lab.learning.prequential import replay_model
+    replay_model = FUNCTIONS.load("replay", "--prequential")
     unused = {*inputs.READ, *inputs.PLANNED, *inputs.CHOSEN, "--tare", "--touched", "--grasp"} - {"inputs"}
     for option in sorted(unused):
         if getattr(arguments, option.removeprefix("--").replace("-", "_")):
@@ -152,9 +162,9 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
 
 
 def _grasps(
-    item: SourceItem, target: Object, arguments: argparse.Namespace, pipeline: Pipeline
+    item: SourceItem, target: Object, arguments: argparse.Namespace, pipeline: Pipeline, plan: GraspPlan | None
 ) -> tuple[list[Grasp], str]:
-    """Return the grasps to predict, and a remark: from --grasp, else the sample's own, else planned."""
+    """Return the grasps to predict, and a remark: from --grasp, else the sample's own, else planned, maybe before."""
     if arguments.grasp:
         pairs = np.array(arguments.grasp, dtype=np.float64).reshape(-1, 2, 3)
         return [pipeline.grasp_between(target, g1, g2) for g1, g2 in pairs], ""
@@ -162,7 +172,7 @@ def _grasps(
         if arguments.hand:
             raise ConfigError("--hand: is for planned grasps, and a sample has its own")
         return [item.sample.grasp], ""
-    plan = pipeline.plan(target)
+    plan = plan or pipeline.plan(target)
     if not plan.grasps:
         raise GraspError(f"{plan.status}: {plan.reason}")
     return list(plan.grasps), plan.reason

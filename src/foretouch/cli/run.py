@@ -15,15 +15,16 @@ from typing import TYPE_CHECKING, Any, cast
 
 from rich.panel import Panel
 
+from foretouch.camera.source import ImageSource, find_source
 from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import CAMERA, add_options, depth_camera, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import JsonLines, announce, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.cli.screen import terminal, watch
+from foretouch.doors import needs_extras
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
-from foretouch.laboratory import needs_laboratory
 from foretouch.models import History, TouchModel, load_model
 from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 
 _END_S = 1.5  # for what waits to be printed at the end
 _TOPIC_S = 5.0  # until somebody must publish a topic
-_PATIENCE = {"camera.silence_s": 20.0}  # a busy computer renders slowly
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -151,7 +151,6 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Return parameters of each node by name, from the options; the source comes last, after its subscribers."""
     from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
-    from foretouch.models.registry import SIMULATED_HAND_MODEL
     from foretouch.ros.nodes.camera import DEPTH_TOPIC
 
     given = [settings for _, settings in nodes_of_file(arguments.params)] if arguments.params else []
@@ -168,9 +167,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
-    scene = Path(arguments.source).suffix in {".yaml", ".yml"}
-    live = scene or arguments.source == "camera" or _is_topic(arguments.source)
-    _require_used(arguments, scene=scene, files=not live)
+    scene = None if _is_topic(arguments.source) else find_source(arguments.source)
+    live = scene is not None or arguments.source == "camera" or _is_topic(arguments.source)
+    _require_used(arguments, scene=scene is not None, files=not live)
     if not live:
         source = open_source(arguments.source, arguments.topic, camera=depth_camera(arguments))
         if not any("late_after_s" in parameters for parameters in given):
@@ -190,12 +189,11 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         return nodes
     perception["input"] = "depth"
     arguments.remapped = _remapped("depth/image", DEPTH_TOPIC)
-    if scene and not arguments.model and not any("model" in parameters for parameters in given):
-        nodes["perception"]["model"] = SIMULATED_HAND_MODEL
-    for name, parameters in (_scene_nodes(arguments) if scene else {"camera": {}}).items():
-        nodes.setdefault(name, {}).update(parameters)
-    if any("hand.name" in parameters for parameters in given):
-        perception.pop("hand.name", None)
+    for name, parameters in ({"camera": {}} if scene is None else _shown_nodes(arguments, scene)).items():
+        nodes[name] = parameters | nodes.get(name, {})
+    for parameter in ("hand.name", "model"):
+        if any(parameter in parameters for parameters in given) and not (parameter == "model" and arguments.model):
+            nodes["perception"].pop(parameter, None)
     return nodes
 
 
@@ -254,37 +252,16 @@ def _hand_of(nodes: Mapping[str, Mapping[str, Any]], sensor: Sensor) -> TactileC
     return config if "hand" in nodes and config.described.sha256 == sensor.sha256 else None
 
 
-def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Return parameters of a hand and a camera for one scene, which starts now."""
+def _shown_nodes(arguments: argparse.Namespace, source: ImageSource) -> dict[str, dict[str, Any]]:
+    """Return parameters of the nodes that show a source, which starts now."""
     from foretouch.camera.config import ScheduleConfig
 
-    with needs_laboratory(f"--source {arguments.source}"):
-        from foretouch_lab.simulation.scene import centre_of_objects, scheduled_scene
-
-    show = ScheduleConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
+    path = str(Path(arguments.source).resolve()) if Path(arguments.source).suffix else ""
+    show = ScheduleConfig(path=path, origin_ns=time.time_ns())
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)
-    scene = scheduled_scene(show)  # so that an error in it is reported before anything starts
-    shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
-    # Few, so that a small computer has time for the rest of the graph.
-    fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
-    sensor = scene.fingers.sensor
-    nodes: dict[str, dict[str, Any]] = {
-        **{name: {"tactile.sensor": sensor} for name in ("perception", "bridge") if sensor},
-        "hand": shown,
-        "camera": {"source": "scene", "camera.fps": fps, **_PATIENCE, **shown},
-    }
-    if scene.hand:  # whose thumb is at g1 in simulation
-        nodes.setdefault("perception", {}).update({"hand.name": scene.hand, "hand.thumb_at": "g1"})
-    if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
-        nodes.setdefault("perception", {}).update(
-            {
-                "target.mode": "point",
-                "target.point": centre_of_objects(scene).tolist(),
-                "target.tolerance_m": 0.1,  # between the middle of the object and its visible part
-            }
-        )
-    return nodes
+    with needs_extras(f"--source {arguments.source}"):
+        return source.nodes(show, arguments.rate)
 
 
 def _replay_parameters(arguments: argparse.Namespace, source: Source) -> dict[str, Any]:

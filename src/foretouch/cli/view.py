@@ -162,7 +162,7 @@ def _of_cloud(view: _View, item: SourceItem, *, stamped: bool) -> ViewStep:
         scene = view.pipeline.segment(cloud)
         objects = {shown_object.id: shown_object.cloud for shown_object in scene.targets[:1]}
         objects |= {object_.id: object_.cloud for object_ in scene.objects if object_.id not in objects}
-        shown |= {"table": scene.table, "outline": scene.outline, "objects": objects}
+        shown |= {"table": scene.table, "outline": scene.outline, "objects": objects, "labels": scene.labels}
         if not scene.targets:
             return ViewStep(**shown, reason=f"{scene.status}: {scene.reason}")
         target = scene.targets[0]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The formats of datasets: open one, or export its samples.
 
-To add a format, write one module with these functions, as far as the format has them, a function that imports it, and
-a line in `FORMATS`:
+To add a format, write one module with these functions, as far as the format has them, and describe it as a `FormatEntry`: one of `FORMATS`,
+or an entry point of the group `foretouch.formats` in another package.
 
 - `recognise(path) -> bool`: whether a path that exists is of this format.
 - `open_set(path, unfinished) -> SampleSet`: opens it, also with recordings that were cut off if `unfinished` is true.
@@ -12,64 +12,34 @@ a line in `FORMATS`:
 A module is imported when its format is used, so that help texts do not wait for the libraries of all formats.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Final
 
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.samples import ExportResult, SampleSet
+from foretouch.doors import Door, needs_extras
 from foretouch.errors import FileError
 from foretouch.files import require_existing, system_errors
-
-
-def _recording() -> ModuleType:
-    from foretouch.dataset.recording import reader
-
-    return reader
-
-
-def _store() -> ModuleType:
-    from foretouch.dataset import store
-
-    return store
-
-
-def _vision2tactile() -> ModuleType:
-    from foretouch.dataset import vision2tactile
-
-    return vision2tactile
-
-
-def _lerobot() -> ModuleType:
-    from foretouch.dataset import lerobot
-
-    return lerobot
-
-
-def _npz() -> ModuleType:
-    from foretouch.dataset import npz
-
-    return npz
-
-
-def _rosbag2() -> ModuleType:
-    from foretouch.dataset import bag_writer
-
-    return bag_writer
 
 
 @dataclass(frozen=True)
 class FormatEntry:
     """One format, described without importing its module."""
 
-    name: str  # in options, JSON and error messages
     title: str  # in help texts; a noun phrase
-    load: Callable[[], ModuleType]  # imports the module with its functions
+    module: str  # has its functions
     files: tuple[str, ...] = ()  # suffixes of single files that may be of this format
     folders: tuple[str, ...] = ()  # glob patterns; a folder with a match may be of this format; none for export alone
     exported: bool = False  # whether samples can be written in this format
+
+    def load(self) -> ModuleType:
+        """Import the module; a `MissingDependencyError` if a library that it needs is not installed."""
+        with needs_extras(self.title):
+            return import_module(self.module)
 
     def may_hold(self, path: Path) -> bool:
         """Return whether the name of a file, or those in a folder, allow this format; its module decides."""
@@ -78,25 +48,44 @@ class FormatEntry:
         return path.suffix in self.files and path.is_file()
 
 
-FORMATS: tuple[FormatEntry, ...] = (  # the first that recognises a path reads it
-    FormatEntry("recording", "recorded dataset (MCAP)", _recording, (".mcap",), ("manifest.json",)),
-    FormatEntry("store", "training store (Arrow)", _store, (), ("manifest.json",)),
-    FormatEntry("vision2tactile", "vision2tactile folders", _vision2tactile, (), ("*",), exported=True),
-    FormatEntry("lerobot", "LeRobot exports", _lerobot, (), ("meta/info.json",), exported=True),
-    FormatEntry("npz", "NumPy archives", _npz, (), ("*/*.npz",), exported=True),
-    FormatEntry("rosbag2", "ROS 2 bag", _rosbag2, exported=True),
+_HERE: Final = "foretouch.dataset"
+
+FORMATS: Final = Door(
+    "foretouch.formats",
+    "format",
+    {
+        "recording": FormatEntry(
+            "recorded dataset (MCAP)", f"{_HERE}.recording.reader", (".mcap",), ("manifest.json",)
+        ),
+        "store": FormatEntry("training store (Arrow)", f"{_HERE}.store", (), ("manifest.json",)),
+        "vision2tactile": FormatEntry("vision2tactile folders", f"{_HERE}.vision2tactile", (), ("*",), exported=True),
+        "lerobot": FormatEntry("LeRobot exports", f"{_HERE}.lerobot", (), ("meta/info.json",), exported=True),
+        "npz": FormatEntry("NumPy archives", f"{_HERE}.npz", (), ("*/*.npz",), exported=True),
+        "rosbag2": FormatEntry("ROS 2 bag", f"{_HERE}.bag_writer", exported=True),
+    },
+    FormatEntry,
 )
+"""The formats by name. The first that recognises a path reads it."""
+
+
+def _entries() -> Iterator[FormatEntry]:
+    return (FORMATS.load(name) for name in FORMATS)
+
+
+def exported_formats() -> list[str]:
+    """Return the names of the formats that samples can be written in."""
+    return [name for name in FORMATS if FORMATS.load(name).exported]
 
 
 def readable_formats() -> str:
     """Return the formats that can be read, for help texts and error messages."""
-    *others, last = [entry.title for entry in FORMATS if entry.folders]
+    *others, last = [entry.title for entry in _entries() if entry.folders or entry.files]
     return f"{', '.join(others)} or {last}"
 
 
 def _format_of(path: Path) -> ModuleType | None:
     """Return the module of the format that a path is of."""
-    candidates = (entry.load() for entry in FORMATS if entry.may_hold(path))
+    candidates = (entry.load() for entry in _entries() if entry.may_hold(path))
     return next((module for module in candidates if module.recognise(path)), None)
 
 
@@ -139,7 +128,7 @@ def export_samples(
         FileError: If `out` exists or cannot be written, or the source is damaged; nothing is left at `out` then.
         DatasetError: If a sample's id cannot be the name of a file.
     """
-    module = next(entry for entry in FORMATS if entry.name == kind).load()
+    module = FORMATS.load(kind).load()
     result = ExportResult()
     with new_folder(Path(out)) as folder, system_errors(out, "cannot be written"):
         module.export(open_samples(source), folder, result, progress, **options)

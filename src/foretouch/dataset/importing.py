@@ -18,6 +18,7 @@ from foretouch.cloud.io.depth_messages import CameraInfos
 from foretouch.cloud.messages import decode_objects
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.bag import Message, Recording, is_recording
+from foretouch.dataset.bag_colours import with_colours
 from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.identity import Identity
 from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
@@ -157,14 +158,15 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
     )
     now_s = 0.0
     infos, beside = bag.first_info(topics.clouds), bag.info_topic(topics.clouds)
-    for message in bag.messages({*roles, beside}):
+    colours = bag.color_topic(topics.clouds)
+    for message, image in with_colours(bag.messages({*roles, beside, colours}), topics.clouds, colours, bag.colours):
         if message.topic == beside:
             infos = deepcopy(infos)  # images before it are decoded later
             infos.add(bag.content(message), message.bag_time_ns * 1e-9)
             continue
         role = roles[message.topic]
         now_s = max(now_s, message.bag_time_ns * 1e-9) if live else 0.0  # otherwise grasps wait until the end
-        decode = partial(_objects_in, bag, message, infos if beside else None)
+        decode = partial(_objects_in, bag, message, infos if beside else None, image)
         content = None if role == "cloud" else bag.content(message)
         try:
             content = content or SeenObjects.of_message(message.data, decode, by_place=bool(beside))
@@ -175,6 +177,8 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
     yield from _samples(assembler.poll(now_s, ending=True), result)
     result.left_out += assembler.rejected_clouds
     result.left_out += assembler.invalid
+    if remark := bag.colours.remark:
+        result.notes = (*result.notes, f"{bag.path}: {colours}: {remark}")
     result.left_out["cloud without grasps"] += assembler.clouds_without_grasps
     result.left_out["grasps without their cloud"] += len(assembler.matcher.plans)
 
@@ -189,9 +193,13 @@ def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
     return topics
 
 
-def _objects_in(bag: Recording, message: Message, infos: CameraInfos | None) -> tuple[Object, ...]:
+def _objects_in(
+    bag: Recording, message: Message, infos: CameraInfos | None, colours: Message | None
+) -> tuple[Object, ...]:
     """Return the objects of an `object_cloud`; of a depth image those found in it, numbered by their distance from the camera."""
-    return decode_objects(bag.content(message)) if infos is None else segment(bag.decode_cloud(message, infos)).objects
+    if infos is None:
+        return decode_objects(bag.content(message))
+    return segment(bag.decode_cloud(message, infos, colours)).objects
 
 
 def _samples(assembled: list[Sample | RejectedGrasp], result: WriteResult) -> Iterator[Sample]:

@@ -17,7 +17,7 @@ from foretouch.dataset.identity import Identity, check_id
 from foretouch.dataset.recording.sample_codec import StoredSample, sample_fields, stored_sample
 from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError, ForetouchError, none_of
-from foretouch.grasp.messages import grasp_fields
+from foretouch.grasp.messages import encode_grasp
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import OUTCOMES, AnyArray, Grasp, Sample
@@ -104,8 +104,8 @@ def _read(path: Path) -> StoredSample:
         fields |= {
             "header": header_fields(int(arrays["sample_stamp_ns"]), cloud.frame_id, "sample_stamp_ns"),
             "cloud": cloud_fields(cloud),
-            "grasp": grasp_fields(_grasp({name: arrays.get(name, np.array("")) for name in _GRASP})),
-            "candidates": [grasp_fields(_grasp(candidate)) for candidate in candidates],
+            "grasp": encode_grasp(_grasp({name: arrays.get(name, np.array("")) for name in _GRASP})),
+            "candidates": [encode_grasp(_grasp(candidate)) for candidate in candidates],
             "score": float(arrays["score"]),
             "labelled": np.size(fields["touch"]) > 0,
             "tared": np.size(fields["tare"]) > 0,

@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple, overload
 import numpy as np
 
 from foretouch.dataset.identity import Identity
+from foretouch.doors import FUNCTIONS, needs_extras
 from foretouch.errors import DatasetError, shown
-from foretouch.laboratory import needs_laboratory
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
@@ -140,10 +140,9 @@ class SampleSet(Summarised, Tabular):
         Raises:
             DatasetError: If there is no such split, or there are too few samples for it.
         """
-        with needs_laboratory("split"):
-            from foretouch_lab.learning.data.folds import make_folds
         labelled = self.filter(_is_labelled)
-        folds = make_folds([*labelled], kind, seed)
+        with needs_extras("split"):
+            folds = FUNCTIONS.load("folds", "split")([*labelled], kind, seed)
         return [(labelled.subset(fold.train), labelled.subset(fold.test)) for fold in folds]
 
     def subset(self, numbers: Sequence[int] | Index | Bool) -> "SampleSet":

@@ -33,6 +33,7 @@ class SourceItem:
     name: str  # its file or folder, or recording and number of the message
     load: Callable[[], Cloud | Sample]
     mask: Path | None = None  # of a depth image in a folder
+    place: int | None = None  # of a cloud among those of the camera of a recording, from 0; None of files and samples
 
     @cached_property
     def _value(self) -> Cloud | Sample:
@@ -74,9 +75,10 @@ class Source:
         return self.count
 
     def __iter__(self) -> Iterator[SourceItem]:
-        for number, (name, load) in enumerate(self.entries(), 1):
-            stamp_ns = None if self.kind == "recording" else number * STAMP_STEP_NS
-            yield SourceItem(name, partial(self._load, load, stamp_ns), self.masks.get(name))
+        for number, (name, load) in enumerate(self.entries()):
+            recorded = self.kind == "recording"
+            load_stamped = partial(self._load, load, None if recorded else (number + 1) * STAMP_STEP_NS)
+            yield SourceItem(name, load_stamped, self.masks.get(name), number if recorded else None)
 
     def _load(self, load: Callable[[], Cloud | Sample], stamp_ns: int | None) -> Cloud | Sample:
         loaded = load()

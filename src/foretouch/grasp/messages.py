@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch_msgs/Grasp` and `TouchPrediction` without ROS: decoded alike from rclpy and rosbags."""
+"""`foretouch_msgs/Grasp` and `TouchPrediction` without ROS: written and decoded alike for rclpy and rosbags."""
 
 import math
+from array import array as packed
+from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any, Final, get_args
+from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
 
@@ -55,25 +57,65 @@ _ENDS: Final = {
 }
 
 
-def grasp_fields(grasp: Grasp) -> SimpleNamespace:
-    """Return the fields of a `foretouch_msgs/Grasp`."""
-    x, y, z, w = map(float, quaternion_xyzw(grasp.rotation))
-    return SimpleNamespace(
+class MessageClasses(NamedTuple):
+    """What makes messages of their fields; by default plain objects, as rosbags writes them."""
+
+    grasp: Callable[..., Any] = SimpleNamespace
+    point: Callable[..., Any] = SimpleNamespace
+    vector: Callable[..., Any] = SimpleNamespace
+    pose: Callable[..., Any] = SimpleNamespace
+    quaternion: Callable[..., Any] = SimpleNamespace
+
+
+PLAIN: Final = MessageClasses()
+
+
+def encode_grasp(grasp: Grasp, status: int = 0, reason: str = "", new: MessageClasses = PLAIN) -> Any:
+    """Make the `foretouch_msgs/Grasp` of a grasp; `pose` is redundant, `pose_of_hand` is for those who move the hand.
+
+    Args:
+        grasp: In the frame of its cloud.
+        status: Of `foretouch_msgs/Status`.
+        reason: Of the status.
+        new: Makes the messages.
+    """
+
+    def vector(kind: Callable[..., Any], numbers: Float64) -> Any:
+        x, y, z = map(float, numbers)
+        return kind(x=x, y=y, z=z)
+
+    def pose(position: Float64, rotation: Float64) -> Any:
+        x, y, z, w = map(float, quaternion_xyzw(rotation))
+        return new.pose(position=vector(new.point, position), orientation=new.quaternion(x=x, y=y, z=z, w=w))
+
+    way: dict[str, Any] = {}
+    if grasp.way is not None:  # how the hand comes to it
+        at, posture = grasp.way.pose_of_hand, np.ascontiguousarray(grasp.way.posture, np.float64)
+        way = {
+            "hand": grasp.way.hand,
+            "approach": vector(new.vector, grasp.way.approach),
+            "depth_m": grasp.way.depth_m,
+            "width_at_most_m": grasp.way.width_at_most_m,
+            "approaches": packed("f", np.ascontiguousarray(grasp.way.approaches, np.float32).tobytes()),
+            "thumb_at": grasp.way.thumb_at,
+            "pose_of_hand": pose(at[:3, 3], at[:3, :3]),
+            "joints": list(grasp.way.joints),
+            "posture": packed("d", posture.tobytes()),
+        }
+    return new.grasp(
         id=grasp.id,
         object_id=grasp.object_id,
-        g1=_point(grasp.g1),
-        g2=_point(grasp.g2),
-        pose=SimpleNamespace(position=_point(grasp.midpoint), orientation=SimpleNamespace(x=x, y=y, z=z, w=w)),
+        g1=vector(new.point, grasp.g1),
+        g2=vector(new.point, grasp.g2),
+        pose=pose(grasp.midpoint, grasp.rotation),
         rotation=np.ascontiguousarray(grasp.rotation.reshape(9), np.float64),
         score=float(grasp.score),
-        status=0,
-        reason="",
+        status=status,
+        reason=reason,
+        width_m=grasp.width_m,
+        flags=list(grasp.flags),
+        **way,
     )
-
-
-def _point(position: Any) -> SimpleNamespace:
-    x, y, z = map(float, position)
-    return SimpleNamespace(x=x, y=y, z=z)
 
 
 def has_orientation(message: Any) -> bool:

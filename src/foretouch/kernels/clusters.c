@@ -344,17 +344,24 @@ INLINE void refine(const view *v, float least, int32_t *jump, int32_t *labels, u
         }
     }
     for (int64_t row = 0; row < h; row++) {
-        for (int64_t column = 0; column < w; column++) {
-            const int64_t i = row * w + column;
-            if (solid[i] == FLYING) {
-                if (!is_outline(v, labels, solid, row, column)) {
-                    labels[i] = 0;
-                }
-            } else if (v->kind[row * v->line + column] & LOW_EDGE) {
-                const int32_t owner = owner_of(v, labels, solid, row, column);
-                if (owner) {
-                    labels[i] = owner;
-                    solid[i] = BASE;
+        for (int64_t start = 0; start < w; start += BLOCK) {
+            const int64_t end = start + BLOCK < w ? start + BLOCK : w;
+            uint8_t any = 0; /* most pixels are neither */
+            for (int64_t column = start; column < end; column++) {
+                any |= (solid[row * w + column] == FLYING) | (v->kind[row * v->line + column] & LOW_EDGE);
+            }
+            for (int64_t column = start; column < end && any; column++) {
+                const int64_t i = row * w + column;
+                if (solid[i] == FLYING) {
+                    if (!is_outline(v, labels, solid, row, column)) {
+                        labels[i] = 0;
+                    }
+                } else if (v->kind[row * v->line + column] & LOW_EDGE) {
+                    const int32_t owner = owner_of(v, labels, solid, row, column);
+                    if (owner) {
+                        labels[i] = owner;
+                        solid[i] = BASE;
+                    }
                 }
             }
         }
@@ -569,10 +576,9 @@ void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t
                 any |= own[k];
             }
             for (int64_t k = j; k < end && any; k++) {
-                if (own[k] && ids[own[k]]) {
-                    line[k] = ids[own[k]];
-                    written++;
-                }
+                const int32_t id = own[k] ? ids[own[k]] : 0;
+                line[k] = id ? id : line[k];
+                written += id != 0;
             }
         }
     }

@@ -185,15 +185,17 @@ void residuals_near(const double *points, const double *along, int64_t n, double
 void decode_rvl(const uint8_t *data, int64_t words, int64_t pixels, uint16_t *depth, int64_t *decoded);
 
 /* split.c */
-typedef struct {
-    const float *nodes; /* (count, 3 * 2^depth - 2) each a complete tree: nodes (feature, threshold) and leaves, as a heap */
+typedef struct { /* nodes and leaves of each tree in the order of a heap */
+    const uint8_t *features; /* (count, 2^depth - 1) that a node looks at */
+    const float *thresholds; /* the same: to the second branch where the feature is above */
+    const float *leaves;     /* (count, 2^depth) log odds */
     int64_t count, depth;
     double *rows; /* (room, 2 + FEATURES), where the first that are rated are kept */
     int64_t room;
 } Trees;
 void concave_nodes(const Labelled *of, int64_t stride, int64_t arm, double sag, double noise, int64_t *counts);
 void split_clusters(const Labelled *of, int64_t k, const double *settings, const Trees *trees, int64_t *counts,
-    double *joins);
+    double *joins, uint8_t *clusters);
 
 /* voxels.c */
 void voxel_cells(const float *xyz, int64_t n, double cells_per_m, int64_t *cell, int64_t *counts, int64_t *found);

@@ -29,6 +29,8 @@ enum { REFUSED, ACCEPTED, CELLS_OF, JOINS };                      /* of `joins` 
 #define SKEW 0.05f  /* and how far it may be off for each metre between them */
 #define LIKE 0.005f /* a difference in depth that counts as much as a cell [m] */
 #define HOLLOW 0.1f /* bend of a surface that is hollow, 6 degrees over 2 * REACH + 1 cells */
+#define AT_ONCE 4   /* trees that are walked, each of which waits for its memory */
+#define SOME 64     /* borders whose highest key is kept */
 #define EVEN 0.02   /* share of the normals in all directions that is assumed besides those that are seen */
 
 /* Sums over the cells of a fragment: of points p about an origin, and where there is a normal n of p, n and m = p x n. */
@@ -37,8 +39,8 @@ enum { CELLS, AREA, OUTLINE, P, PP = P + 3, SEEN = PP + 6, HOLLOWS, PN, Q, N = Q
 enum { LENGTH, BENT, STEPS, CONVEX, SIGNED, BEFORE, STEPPED, LINES, AGREE, SHARP, UNEVEN, MIDDLE, EDGES = MIDDLE + 3, FEATURES = 64 };
 
 typedef struct {
-    float p[3], d, n[3]; /* mean point [m], its inverse depth, normal towards the camera; NAN where there is none */
-    int32_t label, part, inside; /* halves of a cell from the nearest edge that may separate */
+    float p[3], n[3]; /* mean point [m], normal towards the camera; NAN where there is none */
+    int32_t label, part;
 } cell;
 
 typedef struct {
@@ -65,11 +67,14 @@ typedef struct {
     const Trees *trees;
     int64_t k, h, w, n, n_fragments, n_borders; /* cells; fragments count from 1 */
     cell *cells;
-    float *bends; /* of the edges to the right and down (n, 2); NAN where there is none */
-    int32_t *root, *first_of; /* first_of: first cell of each distance from an edge; `part` of a cell is the next one */
+    float *u, *v, *d;  /* of the cells: x / z and y / z of the mean point, and its inverse depth */
+    uint8_t *reach[4]; /* cells to the left, right, up and down, at most REACH, from which no step separates a cell */
+    float *bends;      /* of the edges to the right and down (n, 2); NAN where there is none */
+    int32_t *inside;   /* halves of a cell from the nearest edge that may separate */
+    int32_t *root, *first_of, *next; /* first cell of each distance from an edge, and the next one of that distance */
     fragment *fragments;
     border *borders;
-    double *keys;     /* of the borders: which is joined next */
+    double *keys, *peaks; /* of the borders: the highest is joined next; and the highest of each SOME borders */
     int32_t *met;     /* of fragments: a border with the one that is joined, or -1 */
     double origin[3]; /* of the sums */
     int64_t *counts;
@@ -99,122 +104,125 @@ void concave_nodes(const Labelled *v, int64_t stride, int64_t arm, double sag, d
 /* CELLS. The mean point of each, by its cluster: of those pixels whose depth is near that of one in the middle. A cell of no cluster
  * has the point in its middle. */
 static void make_cells(graph *g) {
-    const Labelled *v = g->of;
-    const int64_t k = g->k, h = v->h, w = v->w;
-    for (int64_t i = 0; i < g->h; i++) {
-        for (int64_t j = 0; j < g->w; j++) {
-            cell *c = g->cells + i * g->w + j;
+    const Labelled *l = g->of;
+    const int64_t k = g->k, h = l->h, w = l->w;
+    for (int64_t i = 0, at = 0; i < g->h; i++) {
+        for (int64_t j = 0; j < g->w; j++, at++) {
+            cell *c = g->cells + at;
             const int64_t bottom = (i + 1) * k < h ? (i + 1) * k : h, right = (j + 1) * k < w ? (j + 1) * k : w;
-            const int64_t y0 = (i * k + bottom) / 2, x0 = (j * k + right) / 2;
-            int64_t at = y0 * w + x0;
-            for (int64_t y = i * k; y < bottom && !v->solid[at]; y++) { /* a point at the middle, else any */
+            int64_t y0 = (i * k + bottom) / 2, x0 = (j * k + right) / 2;
+            for (int64_t y = i * k; y < bottom && !l->solid[y0 * w + x0]; y++) { /* a point at the middle, else any */
                 for (int64_t x = j * k; x < right; x++) {
-                    at = v->solid[y * w + x] ? y * w + x : at;
+                    x0 = l->solid[y * w + x] ? x : x0, y0 = l->solid[y * w + x] ? y : y0;
                 }
             }
-            const float *middle = g->first + 3 * (at / w * v->across + at % w), z = middle[2], gap = (float)g->s[STEP_M];
+            const float *middle = g->first + 3 * (y0 * l->across + x0), gap = (float)g->s[STEP_M];
             float sum[4] = {0.0f};
-            c->label = v->solid[at] ? v->labels[at] : 0;
+            c->label = l->solid[y0 * w + x0] ? l->labels[y0 * w + x0] : 0;
             for (int64_t y = i * k; y < bottom && c->label; y++) {
                 for (int64_t x = j * k; x < right; x++) {
-                    const float *p = g->first + 3 * (y * v->across + x);
-                    if (v->solid[y * w + x] && v->labels[y * w + x] == c->label && fabsf(p[2] - z) < gap) {
+                    const float *p = g->first + 3 * (y * l->across + x);
+                    if (l->solid[y * w + x] && l->labels[y * w + x] == c->label && fabsf(p[2] - middle[2]) < gap) {
                         const float d = 1.0f / p[2];
                         sum[0] += p[0] * d, sum[1] += p[1] * d, sum[2] += d, sum[3] += 1.0f;
                     }
                 }
             }
-            c->part = 0;
-            if (c->label) {
-                c->d = sum[2] / sum[3];
-                c->p[0] = sum[0] / sum[3] / c->d, c->p[1] = sum[1] / sum[3] / c->d;
-            } else {
-                c->d = 1.0f / z;
-                c->p[0] = middle[0], c->p[1] = middle[1];
-            }
-            c->p[2] = 1.0f / c->d;
+            const float d = g->d[at] = c->label ? sum[2] / sum[3] : 1.0f / middle[2];
+            c->p[0] = c->label ? sum[0] / sum[3] / d : middle[0], c->p[1] = c->label ? sum[1] / sum[3] / d : middle[1], c->p[2] = 1.0f / d;
+            g->u[at] = c->p[0] * d, g->v[at] = c->p[1] * d;
         }
     }
 }
 
-/* EDGES. Whether the depth jumps between two cells, by more than it changes before and after them. */
-INLINE int broken(const cell *c, const cell *o, const cell *before, const cell *after, float step) {
-    const float limit = step * c->d * o->d, by = o->d - c->d;
-    const float slope = SLOPE * sqrtf((o->p[0] - c->p[0]) * (o->p[0] - c->p[0]) + (o->p[1] - c->p[1]) * (o->p[1] - c->p[1]));
-    const float left = before && before->label == c->label ? by - (c->d - before->d) : NAN;
-    const float right = after && after->label == c->label ? by - (after->d - o->d) : NAN;
+/* EDGES. Whether the depth jumps between two cells, by more than it changes before and after them; -1 for no cell there. */
+INLINE int broken(const graph *g, int64_t i, int64_t o, int64_t before, int64_t after) {
+    const cell *a = g->cells + i, *b = g->cells + o;
+    const float *d = g->d, limit = (float)g->s[STEP_M] * d[i] * d[o], by = d[o] - d[i];
+    if (!(fabsf(by) > limit)) {
+        return 0;
+    }
+    const float slope = SLOPE * sqrtf((b->p[0] - a->p[0]) * (b->p[0] - a->p[0]) + (b->p[1] - a->p[1]) * (b->p[1] - a->p[1]));
+    const float left = before >= 0 && g->cells[before].label == a->label ? by - (d[i] - d[before]) : NAN;
+    const float right = after >= 0 && g->cells[after].label == a->label ? by - (d[after] - d[o]) : NAN;
     if (left != left && right != right) {
-        return fabsf(by) > limit + slope * c->d * o->d;
+        return fabsf(by) > limit + slope * d[i] * d[o];
     }
-    return fabsf(by) > limit + slope / 2 * c->d * o->d && !(fabsf(left) <= limit) && !(fabsf(right) <= limit);
+    return fabsf(by) > limit + slope / 2 * d[i] * d[o] && !(fabsf(left) <= limit) && !(fabsf(right) <= limit);
 }
 
-/* The step in depth across each edge, before there are normals. */
+/* The step in depth across each edge, before there are normals, and how far cells reach without one. */
 static void find_steps(graph *g) {
-    for (int dir = 0; dir < 2; dir++) {
-        const int64_t to = dir ? g->w : 1;
-        for (int64_t i = 0; i < g->n; i++) {
-            const int64_t at = dir ? i / g->w : i % g->w, length = dir ? g->h : g->w;
-            const cell *c = g->cells + i;
-            g->bends[2 * i + dir] = NAN;
-            if (at + 1 < length && c->label && c[to].label) {
-                const int jump = c[to].label != c->label || broken(c, c + to, at ? c - to : NULL, at + 2 < length ? c + 2 * to : NULL, (float)g->s[STEP_M]);
+    for (int64_t y = 0, i = 0; y < g->h; y++) {
+        for (int64_t x = 0; x < g->w; x++, i++) {
+            g->bends[2 * i] = g->bends[2 * i + 1] = NAN;
+            for (int dir = 0; dir < 2 && g->cells[i].label; dir++) {
+                const int64_t to = dir ? g->w : 1, at = dir ? y : x, length = dir ? g->h : g->w;
+                if (at + 1 == length || !g->cells[i + to].label) {
+                    continue;
+                }
+                uint8_t *back = g->reach[2 * dir], *on = g->reach[2 * dir + 1];
+                const int jump = g->cells[i + to].label != g->cells[i].label || broken(g, i, i + to, at ? i - to : -1, at + 2 < length ? i + 2 * to : -1);
                 g->bends[2 * i + dir] = jump ? STEP : 0.0f;
+                back[i + to] = jump ? 0 : back[i] < REACH ? back[i] + 1 : REACH;
+                for (int64_t t = 0; t < back[i + to]; t++) {
+                    on[i - t * to]++;
+                }
             }
         }
     }
 }
 
-/* The cell up to `most` cells along a line without a step: dir 0 right, 1 down; sign -1 backwards. */
-INLINE int64_t walk(const graph *g, int64_t i, int dir, int sign, int most) {
-    const int64_t to = dir ? g->w : 1, length = dir ? g->h : g->w;
-    int64_t at = dir ? i / g->w : i % g->w;
-    for (int t = 0; t < most && at + sign >= 0 && at + sign < length; t++, at += sign, i += sign * to) {
-        const float edge = g->bends[2 * (sign > 0 ? i : i - to) + dir];
-        if (edge != edge || edge == STEP) {
-            break;
-        }
-    }
-    return i;
+INLINE int8x32 wide(const uint8_t *bytes) {
+    typedef uint8_t bytes8 __attribute__((vector_size(8), aligned(1), may_alias));
+    return __builtin_convertvector(*(const bytes8 *)bytes, int8x32);
 }
 
-/* A plane through the inverse depth of the cells around each, without a step between. */
+/* Planes through the inverse depth of the cells around each, without a step between: those of eight cells at once. */
 static void make_normals(graph *g) {
-    for (int64_t i = 0; i < g->n; i++) {
-        cell *c = g->cells + i;
-        c->n[0] = c->n[1] = c->n[2] = NAN;
-        if (!c->label) {
+    for (int64_t i = 0; i < g->n; i += 8) {
+        const float8 u0 = *(const float8u *)(g->u + i), v0 = *(const float8u *)(g->v + i), d0 = *(const float8u *)(g->d + i);
+        float8 m[9] = {{0.0f}}, n[3], size;
+        int any = 0;
+        for (int64_t k = i; k < i + 8 && k < g->n; k++) {
+            any |= g->cells[k].label, g->cells[k].n[0] = g->cells[k].n[1] = g->cells[k].n[2] = NAN;
+        }
+        if (!any) {
             continue;
         }
-        const float u0 = c->p[0] * c->d, v0 = c->p[1] * c->d;
-        float m[9] = {0.0f};
-        const int64_t top = walk(g, i, 1, -1, REACH), end = walk(g, i, 1, 1, REACH);
-        for (int64_t middle = top; middle <= end; middle += g->w) {
-            const int64_t last = walk(g, middle, 0, 1, REACH);
-            for (int64_t b = walk(g, middle, 0, -1, REACH); b <= last; b++) {
-                const cell *o = g->cells + b;
-                const float u = o->p[0] * o->d - u0, v = o->p[1] * o->d - v0, d = o->d - c->d;
-                m[0] += 1.0f, m[1] += u, m[2] += v, m[3] += d;
+        for (int64_t y = -REACH; y <= REACH; y++) {
+            const int64_t row = i + y * g->w;
+            const int8x32 left = wide(g->reach[0] + row), right = wide(g->reach[1] + row), column = wide(g->reach[y < 0 ? 2 : 3] + i) >= (int32_t)labs(y);
+            for (int64_t x = -REACH; x <= REACH; x++) {
+                const int8x32 there = column & ((x < 0 ? left : right) >= (int32_t)labs(x));
+                const float8 u = (float8)(there & (int8x32)(*(const float8u *)(g->u + row + x) - u0)), v = (float8)(there & (int8x32)(*(const float8u *)(g->v + row + x) - v0));
+                const float8 d = (float8)(there & (int8x32)(*(const float8u *)(g->d + row + x) - d0));
+                m[0] -= __builtin_convertvector(there, float8), m[1] += u, m[2] += v, m[3] += d;
                 m[4] += u * u, m[5] += u * v, m[6] += v * v, m[7] += u * d, m[8] += v * d;
             }
         }
-        const float uu = m[4] - m[1] * m[1] / m[0], uv = m[5] - m[1] * m[2] / m[0], vv = m[6] - m[2] * m[2] / m[0];
-        const float ud = m[7] - m[1] * m[3] / m[0], vd = m[8] - m[2] * m[3] / m[0], det = uu * vv - uv * uv;
-        if (m[0] >= 5.0f && det > 1e-3f * uu * vv) { /* a x + b y + e z = 1 */
-            const float a = (ud * vv - vd * uv) / det, b = (vd * uu - ud * uv) / det;
-            const float e = c->d + (m[3] - a * m[1] - b * m[2]) / m[0] - a * u0 - b * v0, size = sqrtf(a * a + b * b + e * e);
-            c->n[0] = -a / size, c->n[1] = -b / size, c->n[2] = -e / size;
+        const float8 uu = m[4] - m[1] * m[1] / m[0], uv = m[5] - m[1] * m[2] / m[0], vv = m[6] - m[2] * m[2] / m[0];
+        const float8 ud = m[7] - m[1] * m[3] / m[0], vd = m[8] - m[2] * m[3] / m[0], det = uu * vv - uv * uv;
+        n[0] = (ud * vv - vd * uv) / det, n[1] = (vd * uu - ud * uv) / det; /* a x + b y + e z = 1 */
+        n[2] = d0 + (m[3] - n[0] * m[1] - n[1] * m[2]) / m[0] - n[0] * u0 - n[1] * v0, size = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
+        for (int64_t k = 0; k < 8 && i + k < g->n; k++) {
+            for (int x = 0; x < 3 && m[0][k] >= 5.0f && det[k] > 1e-3f * uu[k] * vv[k]; x++) {
+                g->cells[i + k].n[x] = -n[x][k] / sqrtf(size[k]);
+            }
         }
     }
 }
 
-/* In place: a bend is never as large as a step, as all normals face the camera. */
+/* The cell farthest along a line without a step; way 0 left, 1 right, 2 up, 3 down. */
+INLINE int64_t walk(const graph *g, int64_t i, int way) {
+    return i + (way & 1 ? 1 : -1) * (way & 2 ? g->w : 1) * g->reach[way][i];
+}
+
 static void make_bends(graph *g) {
     for (int64_t k = 0; k < 2 * g->n; k++) {
         const int dir = k & 1;
         if (g->bends[k] == 0.0f) {
-            const cell *a = g->cells + walk(g, k / 2, dir, -1, REACH);
-            const cell *b = g->cells + walk(g, k / 2 + (dir ? g->w : 1), dir, 1, REACH);
+            const cell *a = g->cells + walk(g, k / 2, 2 * dir), *b = g->cells + walk(g, k / 2 + (dir ? g->w : 1), 2 * dir + 1);
             float chord = 0.0f, side = 0.0f;
             for (int x = 0; x < 3; x++) {
                 const float turn = a->n[x] - b->n[x];
@@ -228,28 +236,34 @@ static void make_bends(graph *g) {
 /* FRAGMENTS. Distance of cells from the nearest edge that is concave, a step, or that of the cluster: in halves of a cell, 2 to a neighbour
  * and 3 to a diagonal one; 1 beside such an edge, 0 without a normal. Returns the largest. */
 static int32_t find_depths(graph *g) {
-    int32_t most = 0;
+    int32_t most = 0, *inside = g->inside;
     for (int64_t i = 0; i < g->n; i++) {
-        g->cells[i].inside = g->cells[i].n[0] == g->cells[i].n[0] ? INT32_MAX / 2 : 0;
+        inside[i] = g->cells[i].n[0] == g->cells[i].n[0] ? INT32_MAX / 2 : 0;
     }
     for (int64_t k = 0; k < 2 * g->n; k++) {
         if (!(g->bends[k] <= (float)g->s[BEND])) {
             const int64_t i = k / 2, o = i + (k & 1 ? g->w : 1);
-            g->cells[i].inside = g->cells[i].inside ? 1 : 0;
+            inside[i] = inside[i] ? 1 : 0;
             if (o < g->n) {
-                g->cells[o].inside = g->cells[o].inside ? 1 : 0;
+                inside[o] = inside[o] ? 1 : 0;
             }
         }
     }
-    for (int64_t t = 0; t < 2 * g->n; t++) { /* from the first cell to the last, and back */
-        const int64_t to = t < g->n ? -1 : 1, i = t < g->n ? t : 2 * g->n - 1 - t, x = i % g->w, row = i + to * g->w;
-        const int above = row >= 0 && row < g->n, before = to < 0 ? x > 0 : x + 1 < g->w, after = to < 0 ? x + 1 < g->w : x > 0;
-        const int32_t ways[4] = {before ? g->cells[i + to].inside + 2 : 1, above ? g->cells[row].inside + 2 : 1,
-                                 above && before ? g->cells[row + to].inside + 3 : 1, above && after ? g->cells[row - to].inside + 3 : 1};
-        for (int way = 0; way < 4; way++) {
-            g->cells[i].inside = ways[way] < g->cells[i].inside ? ways[way] : g->cells[i].inside;
+    for (int64_t to = -1; to <= 1; to += 2) { /* from the first cell to the last, and back */
+        for (int64_t t = 0; t < g->n; t += g->w) {
+            for (int64_t x = 0; x < g->w; x++) {
+                const int64_t i = to < 0 ? t + x : g->n - 1 - t - x, row = i + to * g->w;
+                const int above = row >= 0 && row < g->n, before = x > 0, after = x + 1 < g->w;
+                if (!inside[i]) {
+                    continue;
+                }
+                const int32_t ways[4] = {before ? inside[i + to] + 2 : 1, above ? inside[row] + 2 : 1, above && before ? inside[row + to] + 3 : 1, above && after ? inside[row - to] + 3 : 1};
+                for (int way = 0; way < 4; way++) {
+                    inside[i] = ways[way] < inside[i] ? ways[way] : inside[i];
+                }
+                most = to > 0 && inside[i] > most ? inside[i] : most;
+            }
         }
-        most = t >= g->n && g->cells[i].inside > most ? g->cells[i].inside : most;
     }
     return most;
 }
@@ -262,11 +276,11 @@ static void make_fragments(graph *g) {
     memset(g->first_of, -1, ((size_t)innermost + 1) * sizeof(int32_t));
     for (int64_t i = g->n - 1; i >= 0; i--) {
         if (g->cells[i].label) {
-            g->cells[i].part = g->first_of[g->cells[i].inside], g->first_of[g->cells[i].inside] = (int32_t)i;
+            g->next[i] = g->first_of[g->inside[i]], g->first_of[g->inside[i]] = (int32_t)i;
         }
     }
     for (int32_t level = innermost; level >= 0; level--) {
-        for (int64_t i = g->first_of[level]; i >= 0; i = g->cells[i].part) {
+        for (int64_t i = g->first_of[level]; i >= 0; i = g->next[i]) {
             const int64_t edges[4] = {2 * (i - 1), 2 * i, 2 * (i - g->w) + 1, 2 * i + 1}, others[4] = {i - 1, i + 1, i - g->w, i + g->w};
             int32_t own = g->root[i] = (int32_t)i;
             for (int side = 0; side < 4; side++) {
@@ -274,7 +288,7 @@ static void make_fragments(graph *g) {
                 if (edges[side] < 0 || !(g->bends[edges[side]] <= (float)g->s[BEND]) || g->root[o] < 0) {
                     continue;
                 }
-                const int32_t next = root_of(g->root, (int32_t)o), a = g->cells[next].inside, b = g->cells[own].inside;
+                const int32_t next = root_of(g->root, (int32_t)o), a = g->inside[next], b = g->inside[own];
                 if (own != i && (a < b ? a : b) < level + NECK) {
                     g->root[a > b ? own : next] = a > b ? next : own;
                 }
@@ -358,8 +372,9 @@ static void measure(graph *g) {
     for (int64_t i = 0; i <= g->n_fragments; i++) {
         g->fragments[i] = (fragment){.top = -INFINITY, .bottom = INFINITY, .accepted = INFINITY, .to = (int32_t)i, .first = -1};
     }
-    for (int64_t i = 0, any = 0; i < g->n; i++) {
+    for (int64_t i = 0, any = 0, end = 0; i < g->n; i++) {
         const cell *c = g->cells + i;
+        end = i == end ? end + g->w : end; /* of the row */
         for (int k = 0; k < 3 && c->part && !any; k++) {
             g->origin[k] = c->p[k]; /* near all others, so that moments about it are exact enough */
         }
@@ -368,7 +383,7 @@ static void measure(graph *g) {
             add_cell(g, i);
         }
         for (int dir = 0; dir < 2; dir++) {
-            const int last = dir ? i + g->w >= g->n : i % g->w == g->w - 1;
+            const int last = dir ? i + g->w >= g->n : i == end - 1;
             const cell *o = last ? g->cells + g->n : c + (dir ? g->w : 1); /* behind the last cell is one of no part */
             const float bend = g->bends[2 * i + dir];
             if (c->part == o->part) {
@@ -392,30 +407,31 @@ static void measure(graph *g) {
     }
 }
 
-/* Depth of the plane of cell a on the ray of cell b, minus that of b [m]. */
-INLINE float behind(const cell *a, const cell *b) {
-    const float *n = a->n, u = b->p[0] * b->d, v = b->p[1] * b->d;
-    return (n[0] * a->p[0] + n[1] * a->p[1] + n[2] * a->p[2]) / (n[0] * u + n[1] * v + n[2]) - b->p[2];
+/* Depth of the plane of cell `i` on the ray of cell `o` [m]. */
+INLINE float depth_on(const graph *g, int64_t i, int64_t o) {
+    const float *n = g->cells[i].n, *p = g->cells[i].p;
+    return (n[0] * p[0] + n[1] * p[1] + n[2] * p[2]) / (n[0] * g->u[o] + n[1] * g->v[o] + n[2]);
 }
 
-/* The first cell beyond a nearer part that hides the surface of cell `i` along a line of cells; -1 if there is none. */
-static int64_t beyond(const graph *g, int64_t i, const cell *a, int dir) {
-    const int64_t to = dir ? g->w : 1, at = dir ? i / g->w : i % g->w, length = dir ? g->h : g->w;
+/* The first cell beyond a nearer part that hides the surface of cell `i`, whose normal is that of cell `a`, on a line of `most` cells;
+ * -1 if there is none. */
+static int64_t beyond(const graph *g, int64_t i, const cell *a, int64_t to, int64_t most) {
     int hidden = 0, open = 0; /* cells */
-    for (int64_t t = 1; at + t < length; t++) {
-        const cell *o = g->cells + i + t * to;
-        if (o->d != o->d) {
+    for (int64_t t = 1; t < most; t++) {
+        const int64_t at = i + t * to;
+        const cell *o = g->cells + at;
+        const float od = g->d[at];
+        if (od != od) {
             continue;
         }
-        const float u = o->p[0] * o->d, v = o->p[1] * o->d;
-        const float d = (a->n[0] * u + a->n[1] * v + a->n[2]) / (a->n[0] * a->p[0] + a->n[1] * a->p[1] + a->n[2] * a->p[2]);
+        const float d = (a->n[0] * g->u[at] + a->n[1] * g->v[at] + a->n[2]) / (a->n[0] * a->p[0] + a->n[1] * a->p[1] + a->n[2] * a->p[2]);
         if (o->part == g->cells[i].part) {
             return -1;
         }
-        if (o->label && o->d > d + (float)g->s[STEP_M] * d * d) {
+        if (o->label && od > d + (float)g->s[STEP_M] * d * d) {
             hidden++;
         } else if (o->label && hidden) {
-            return i + t * to;
+            return at;
         } else if (++open > 2) { /* nothing hides the surface */
             return -1;
         }
@@ -425,26 +441,31 @@ static int64_t beyond(const graph *g, int64_t i, const cell *a, int dir) {
 
 /* Lines of cells from a fragment to another one behind a nearer one, and those on which their surfaces agree. */
 static void look_behind(graph *g) {
-    for (int64_t k = 0; k < 2 * g->n; k++) {
-        const int dir = k & 1;
-        const int64_t i = k / 2, to = dir ? g->w : 1, at = dir ? i / g->w : i % g->w;
-        if (!g->cells[i].label || at + 1 >= (dir ? g->h : g->w) || g->cells[i + to].part == g->cells[i].part) {
-            continue;
+    for (int64_t y = 0, i = 0; y < g->h; y++) {
+        for (int64_t x = 0; x < g->w; x++, i++) {
+            for (int dir = 0; dir < 2 && g->cells[i].label; dir++) {
+                const int64_t to = dir ? g->w : 1, most = dir ? g->h - y : g->w - x;
+                if (most < 2 || g->cells[i + to].part == g->cells[i].part) {
+                    continue;
+                }
+                const int64_t own = walk(g, i, 2 * dir);
+                const cell *a = g->cells + own;
+                const int64_t other = a->part == g->cells[i].part && a->n[0] == a->n[0] ? beyond(g, i, a, to, most) : -1;
+                if (other < 0) {
+                    continue;
+                }
+                const int64_t far = walk(g, other, 2 * dir + 1);
+                const cell *b = g->cells + far;
+                float chord = 0.0f, apart = 0.0f;
+                for (int k = 0; k < 3; k++) {
+                    chord += (a->n[k] - b->n[k]) * (a->n[k] - b->n[k]), apart += (a->p[k] - b->p[k]) * (a->p[k] - b->p[k]);
+                }
+                const float limit = (float)g->s[STEP_M] + SKEW * sqrtf(apart);
+                border *of = border_of(g, g->cells[i].part, g->cells[other].part);
+                of->sum[AGREE] += chord < TURN * TURN && fabsf(depth_on(g, own, far) - b->p[2]) < limit && fabsf(depth_on(g, far, own) - a->p[2]) < limit;
+                of->sum[LINES] += 1.0;
+            }
         }
-        const cell *a = g->cells + walk(g, i, dir, -1, REACH);
-        const int64_t other = a->part == g->cells[i].part && a->n[0] == a->n[0] ? beyond(g, i, a, dir) : -1;
-        if (other < 0) {
-            continue;
-        }
-        const cell *b = g->cells + walk(g, other, dir, 1, REACH);
-        float chord = 0.0f, apart = 0.0f;
-        for (int x = 0; x < 3; x++) {
-            chord += (a->n[x] - b->n[x]) * (a->n[x] - b->n[x]), apart += (a->p[x] - b->p[x]) * (a->p[x] - b->p[x]);
-        }
-        const float limit = (float)g->s[STEP_M] + SKEW * sqrtf(apart);
-        border *of = border_of(g, g->cells[i].part, g->cells[other].part);
-        of->sum[AGREE] += chord < TURN * TURN && fabsf(behind(a, b)) < limit && fabsf(behind(b, a)) < limit;
-        of->sum[LINES] += 1.0;
     }
 }
 
@@ -548,7 +569,8 @@ static void describe(const graph *g, const border *of, double *x) {
  * pixels in the middle of both fragments. */
 static void rate(graph *g, border *of) {
     double x[FEATURES + 2] = {0.0};
-    const int64_t inner = ((int64_t)1 << g->trees->depth) - 1, size = 3 * inner + 1;
+    float row[FEATURES]; /* as the trees have learned from */
+    const int64_t inner = ((int64_t)1 << g->trees->depth) - 1;
     for (int k = 0; k < 2; k++) {
         fragment *f = g->fragments + of->of[k];
         x[k] = (double)((f->seed / g->w * g->k + g->k / 2) * g->w * g->k + f->seed % g->w * g->k + g->k / 2);
@@ -559,17 +581,39 @@ static void rate(graph *g, border *of) {
     }
     describe(g, of, x + 2);
     of->score = of->sum[LENGTH] > 0.0 && of->sum[BENT] < of->sum[LENGTH] * g->s[BEND] ? SMOOTH : 0.0;
-    for (const float *tree = g->trees->nodes; tree < g->trees->nodes + g->trees->count * size; tree += size) {
-        int64_t at = 0;
-        while (at < inner) {
-            at = 2 * at + 1 + (x[2 + (int)tree[2 * at]] > tree[2 * at + 1]);
+    for (int k = 0; k < FEATURES; k++) {
+        row[k] = (float)x[2 + k];
+    }
+    for (int64_t first = 0; first < g->trees->count; first += AT_ONCE) {
+        const int64_t some = g->trees->count - first < AT_ONCE ? g->trees->count - first : AT_ONCE;
+        int64_t at[AT_ONCE] = {0};
+        for (int64_t level = 0; level < g->trees->depth; level++) {
+            for (int64_t k = 0; k < some; k++) {
+                const int64_t node = (first + k) * inner + at[k];
+                at[k] = 2 * at[k] + 1 + (row[g->trees->features[node]] > g->trees->thresholds[node]);
+            }
         }
-        of->score += tree[inner + at];
+        for (int64_t k = 0; k < some; k++) {
+            of->score += g->trees->leaves[(first + k) * (inner + 1) + at[k] - inner];
+        }
     }
     if (g->counts[RATED] < g->trees->room) {
         memcpy(g->trees->rows + g->counts[RATED] * (FEATURES + 2), x, sizeof x);
     }
     g->counts[RATED]++;
+}
+
+INLINE void set_key(graph *g, int64_t k, double key) {
+    double *peak = g->peaks + k / SOME, *first = g->keys + k / SOME * SOME;
+    const int was = g->keys[k] == *peak;
+    g->keys[k] = key;
+    *peak = key > *peak ? key : *peak;
+    if (was && key < *peak) {
+        *peak = -INFINITY;
+        for (int i = 0; i < SOME; i++) {
+            *peak = first[i] > *peak ? first[i] : *peak;
+        }
+    }
 }
 
 /* Adds border `from` to another one, `turned` if their first fragments differ, and drops it. */
@@ -579,7 +623,7 @@ static void add_border(graph *g, border *to, border *from, int turned) {
         to->sum[j] += from->sum[j];
     }
     from->of[0] = from->of[1] = 0;
-    g->keys[from - g->borders] = -INFINITY;
+    set_key(g, from - g->borders, -INFINITY);
 }
 
 /* Joins fragment b to a, which is rated by log odds: their sums, and their borders with others. */
@@ -612,7 +656,8 @@ static void join_pair(graph *g, int32_t a, int32_t b, double score) {
         }
         if (other == a) {
             to->sum[OUTLINE] -= 2.0 * of->sum[LENGTH], to->sum[TOUCH] -= 2.0 * of->sum[LENGTH];
-            of->of[0] = of->of[1] = 0, g->keys[at / 2] = -INFINITY;
+            of->of[0] = of->of[1] = 0;
+            set_key(g, at / 2, -INFINITY);
         } else if (g->met[other] >= 0) {
             add_border(g, g->borders + g->met[other] / 2, of, (g->met[other] & 1) != side);
         } else {
@@ -637,24 +682,26 @@ static double key_of(graph *g, border *of, int pass) {
 
 static void join_all(graph *g) {
     memset(g->met, -1, ((size_t)g->n_fragments + 1) * sizeof(int32_t));
+    for (int64_t k = 0; k < g->n_borders + SOME; k++) {
+        g->keys[k] = g->peaks[k / SOME] = -INFINITY;
+    }
     for (int pass = TINY_ONES; pass <= SMALL_ONES; pass++) {
         for (int64_t k = 0; k < g->n_borders; k++) {
             border *of = g->borders + k;
             if (of->of[0] && pass == RATED_ONES) {
                 rate(g, of);
             }
-            g->keys[k] = of->of[0] ? key_of(g, of, pass) : -INFINITY;
+            set_key(g, k, of->of[0] ? key_of(g, of, pass) : -INFINITY);
         }
         for (;;) {
-            int64_t best = -1;
-            double most = -INFINITY;
-            for (int64_t k = 0; k < g->n_borders; k++) {
-                if (g->keys[k] > most) {
-                    most = g->keys[k], best = k;
-                }
+            int64_t block = 0, best;
+            for (int64_t k = 1; k * SOME < g->n_borders; k++) {
+                block = g->peaks[k] > g->peaks[block] ? k : block;
             }
-            if (best < 0) {
+            if (g->peaks[block] == -INFINITY) {
                 break;
+            }
+            for (best = block * SOME; g->keys[best] < g->peaks[block]; best++) {
             }
             const border *of = g->borders + best;
             const int32_t a = of->of[0], b = of->of[1];
@@ -664,7 +711,7 @@ static void join_all(graph *g) {
                 if (pass != TINY_ONES) {
                     rate(g, g->borders + at / 2);
                 }
-                g->keys[at / 2] = key_of(g, g->borders + at / 2, pass);
+                set_key(g, at / 2, key_of(g, g->borders + at / 2, pass));
             }
         }
     }
@@ -680,16 +727,18 @@ static void join_all(graph *g) {
     }
 }
 
-/* PARTS. The part of cells all of whose neighbours that are of a cluster are of it, else 0. */
+/* PARTS. In `inside`, the part of cells all of whose neighbours that are of a cluster are of it, else 0. */
 static void find_sole_parts(graph *g) {
-    for (int64_t i = 0; i < g->h; i++) {
-        for (int64_t j = 0; j < g->w; j++) {
-            cell *c = g->cells + i * g->w + j;
-            c->inside = c->part;
-            for (int64_t y = i ? i - 1 : 0; c->part && y <= i + 1 && y < g->h; y++) {
-                for (int64_t x = j ? j - 1 : 0; x <= j + 1 && x < g->w; x++) {
-                    const int32_t part = g->cells[y * g->w + x].part;
-                    c->inside = part && part != c->part ? 0 : c->inside;
+    for (int64_t i = 0; i < g->n; i++) {
+        g->inside[i] = g->cells[i].part;
+    }
+    for (int64_t y = 0, i = 0; y < g->h; y++) {
+        for (int64_t x = 0; x < g->w; x++, i++) {
+            const int64_t others[4] = {x + 1 < g->w ? i + 1 : i, y + 1 < g->h ? i + g->w : i, x > 0 && y + 1 < g->h ? i + g->w - 1 : i, x + 1 < g->w && y + 1 < g->h ? i + g->w + 1 : i};
+            for (int k = 0; k < 4 && g->cells[i].part; k++) {
+                const int32_t other = g->cells[others[k]].part;
+                if (other && other != g->cells[i].part) {
+                    g->inside[i] = g->inside[others[k]] = 0;
                 }
             }
         }
@@ -697,7 +746,8 @@ static void find_sole_parts(graph *g) {
 }
 
 /* The part of the cell of a pixel's cluster that is nearest: in cells, and in depth by LIKE. */
-static int32_t nearest_part(const graph *g, int64_t y, int64_t x, float z, int32_t label) {
+static int32_t nearest_part(const graph *g, int64_t y, int64_t x, int32_t label) {
+    const float z = g->first[3 * (y * g->of->across + x) + 2];
     float best = INFINITY;
     int32_t part = 0;
     for (int64_t near = 0; near < 9; near++) {
@@ -715,25 +765,25 @@ static int32_t nearest_part(const graph *g, int64_t y, int64_t x, float z, int32
     return part;
 }
 
-/* Writes the parts of pixels over the labels of their clusters, numbered from 1; their number. */
-static int64_t write_parts(graph *g) {
+/* Writes the parts of pixels over the labels of their clusters, numbered from 1, and which clusters have solid pixels; the number of parts. */
+static int64_t write_parts(graph *g, uint8_t *clusters) {
     const Labelled *v = g->of;
     int32_t *names = g->root, count = 0;
     memset(names, 0, (size_t)g->n * sizeof(int32_t));
     find_sole_parts(g);
     for (int64_t y = 0; y < v->h; y++) {
-        for (int64_t j = 0; j < g->w; j++) {
-            const cell *c = g->cells + y / g->k * g->w + j;
-            for (int64_t x = j * g->k; x < (j + 1) * g->k && x < v->w; x++) {
-                const int32_t label = v->labels[y * v->w + x];
-                if (label) {
-                    const float z = g->first[3 * (y * v->across + x) + 2];
-                    const int32_t part = c->inside && label == c->label ? c->inside : nearest_part(g, y, x, z, label);
-                    if (part && !names[part - 1]) {
-                        names[part - 1] = ++count;
-                    }
-                    v->labels[y * v->w + x] = part ? names[part - 1] : 0;
+        int32_t *labels = v->labels + y * v->w;
+        for (int64_t x = 0, at = y / g->k * g->w - 1, next = 0; x < v->w; x++) {
+            const int32_t label = labels[x];
+            if (x == next) { /* the next cell */
+                at++, next += g->k;
+            }
+            if (label) {
+                const int32_t part = g->inside[at] && label == g->cells[at].label ? g->inside[at] : nearest_part(g, y, x, label);
+                if (part && !names[part - 1]) {
+                    names[part - 1] = ++count;
                 }
+                labels[x] = part ? names[part - 1] : 0, clusters[label] |= v->solid[y * v->w + x];
             }
         }
     }
@@ -763,28 +813,36 @@ static void write_joins(const graph *g, double *joins) {
  *
  * k: side of a cell in pixels. counts: (COUNTS), the number of parts, those that were joined for each reason, and the borders that
  * were rated; -1 in the first without memory. joins: (cells + 1, JOINS), of each part the highest log odds of a join that was
- * refused, the lowest of those that made it, both infinite without any, and its cells. */
-VECTORISED void split_clusters(const Labelled *of, int64_t k, const double *settings, const Trees *trees, int64_t *counts, double *joins) {
+ * refused, the lowest of those that made it, both infinite without any, and its cells. clusters: (labels + 1), zeros, whether each
+ * has solid pixels. */
+VECTORISED void split_clusters(const Labelled *of, int64_t k, const double *settings, const Trees *trees, int64_t *counts, double *joins, uint8_t *clusters) {
     graph g = {.of = of, .first = of->xyz + 3 * (of->row * of->across + of->column), .k = k, .h = (of->h + k - 1) / k, .w = (of->w + k - 1) / k, .s = settings, .trees = trees, .counts = counts};
-    const size_t n = (size_t)(g.n = g.h * g.w);
+    const size_t n = (size_t)(g.n = g.h * g.w), most = 4 * n + SOME, beside = REACH * (size_t)(g.w + 1), padded = n + 2 * beside + 8; /* the most borders; windows reach beside the image */
     memset(counts, 0, COUNTS * sizeof(int64_t));
-    g.cells = calloc(1, (n + 1) * (sizeof(cell) + 2 * sizeof(int32_t)) + 2 * n * sizeof(float));
-    g.root = (int32_t *)(g.cells + n + 1), g.first_of = g.root + n + 1, g.bends = (float *)(g.first_of + n + 1);
+    g.cells = malloc((n + 1) * sizeof(cell) + (6 * n + 1 + 3 * padded) * sizeof(float) + 4 * padded);
+    counts[PARTS] = -1;
     if (g.cells) {
+        g.bends = (float *)(g.cells + n + 1), g.inside = (int32_t *)(g.bends + 2 * n), g.root = g.inside + n, g.next = g.root + n, g.first_of = g.next + n;
+        g.u = (float *)(g.first_of + n + 1) + beside, g.v = g.u + padded, g.d = g.v + padded;
+        for (int way = 0; way < 4; way++) {
+            g.reach[way] = (uint8_t *)(g.d - beside + padded) + way * padded + beside;
+        }
+        memset(g.reach[0] - beside, 0, 4 * padded);
+        g.cells[n].part = 0;
         make_cells(&g);
         find_steps(&g);
         make_normals(&g);
         make_bends(&g);
         make_fragments(&g);
-        g.fragments = malloc(((size_t)g.n_fragments + 1) * (sizeof(fragment) + sizeof(double)) + (4 * n + 1) * (sizeof(border) + sizeof(double)));
+        g.fragments = malloc(((size_t)g.n_fragments + 1) * (sizeof(fragment) + sizeof(int32_t)) + most * (sizeof(border) + sizeof(double)) + most / SOME * sizeof(double));
     }
-    counts[PARTS] = -1;
     if (g.fragments) {
-        g.borders = (border *)(g.fragments + g.n_fragments + 1), g.keys = (double *)(g.borders + 4 * n + 1), g.met = (int32_t *)(g.keys + 4 * n + 1);
+        g.borders = (border *)(g.fragments + g.n_fragments + 1), g.keys = (double *)(g.borders + most), g.peaks = g.keys + most;
+        g.met = (int32_t *)(g.peaks + most / SOME);
         measure(&g);
         look_behind(&g);
         join_all(&g);
-        counts[PARTS] = write_parts(&g);
+        counts[PARTS] = write_parts(&g, clusters);
         write_joins(&g, joins);
     }
     free(g.fragments), free(g.cells);

@@ -13,13 +13,13 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final, cast
 
 import numpy as np
 
-from foretouch.errors import ModelError, described, nearest, shown
+from foretouch.doors import Door
+from foretouch.errors import ConfigError, ForetouchError, ModelError, described, shown
 from foretouch.grasp import hand_rotation
 from foretouch.models.card import OWN, CardCalibration, card_sensor, load_calibration, save_model
 from foretouch.models.files import read_tensors, under
@@ -27,8 +27,8 @@ from foretouch.models.predictor import Predictor
 from foretouch.models.touch_model import TouchModel
 from foretouch.types import AnyArray, Cloud, Float64, Grasps
 
-GROUP: Final = "foretouch.models"
-"""Of the entry points by which an installed package names its predictors."""
+PREDICTORS: Final = Door("foretouch.models", "predictor")
+"""The predictors that installed packages name."""
 
 _LEARNED, _ANSWERED = "learned/", "answered"
 _SAME: Final = (
@@ -60,7 +60,9 @@ def find_predictor(predictor: Any, learned: Mapping[str, AnyArray] | None = None
             found = found()
             for key, array in (learned or {}).items():
                 setattr(found, key, array)
-    except ModelError:
+    except ConfigError as err:
+        raise ModelError(str(err)) from err
+    except ForetouchError:
         raise
     except (Exception, SystemExit) as err:
         raise ModelError(f"predictor: {name}: {described(err)}") from err
@@ -71,13 +73,7 @@ def _named(name: str) -> Any:
     """Import what `module:attribute` or an entry point names."""
     module, colon, attribute = name.partition(":")
     if not colon:
-        installed = entry_points(group=GROUP)
-        if name not in installed.names:
-            known = sorted(installed.names)
-            listed = f" {', '.join(known)} are installed{nearest(name, known)}" if known else " none is installed"
-            rule = f"is neither module:attribute nor an entry point of the group {GROUP}, of which{listed}"
-            raise ModelError(f"predictor: {shown(name)}: {rule}")
-        return installed[name].load()
+        return PREDICTORS.load(name, f"predictor: {shown(name)} (which is no module:attribute)")
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)  # last, so that no file of this folder hides another module
     found = import_module(module)

@@ -15,7 +15,7 @@ from foretouch.types.scene import Object, Scene
 
 _SLIT_PX: Final = 5  # widest gap without depth that an outline passes over
 _LABELS: Final = 40  # objects with an id; more cover the picture
-_SMOOTH_PX: Final = 2.0
+_SMOOTH_PX: Final = 2.5
 _LIGHT: Final = np.array([-0.45, -0.55, -0.7])  # in the camera's frame, from above to the left
 
 
@@ -49,11 +49,13 @@ def draw_camera(
     for k, inside in enumerate(areas.values()):
         colour = colours[k % len(colours)]
         whole = inside | (without_slits(inside) & bare & ~taken)
-        for width, line in ((3.2, "white"), (1.7, colour)):
-            axes.contour(whole.astype(np.float32), levels=[0.5], colors=line, linewidths=width)
+        for line in outlines_of(whole):
+            axes.plot(*line.T, color="white", linewidth=3.2)
+            axes.plot(*line.T, color=colour, linewidth=1.7)
     for k, (name, inside) in enumerate(areas.items()):
         if k < _LABELS and inside.any():
-            _name(axes, name, inside, colours[k % len(colours)], grasp)
+            aside = grasp is not None and (len(areas) == 1 or grasp.object_id in ("", name))
+            _name(axes, name, inside, colours[k % len(colours)], aside=aside)
     if grasp is not None:
         _draw_grasp(axes, cloud, grasp)
     left, right, top, bottom = window_of(taken, around)
@@ -64,6 +66,14 @@ def draw_scene_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
     """Draw the image of a scene with its table and objects."""
     areas = {object_.id: scene.labels == int(object_.id) for object_ in scene.objects}
     draw_camera(axes, scene.cloud, areas, table=scene.outline, grasp=grasp)
+
+
+def outlines_of(inside: Bool) -> list[Float64]:
+    """Return the outlines of an area (H, W) as lines (N, 2) of columns and rows, half a pixel outside."""
+    from matplotlib.figure import Figure
+
+    (path,) = Figure().subplots().contour(inside.astype(np.float32), levels=[0.5]).get_paths()
+    return [np.asarray(line, np.float64) for line in path.to_polygons(closed_only=False)]
 
 
 def area_of(target: Object, cloud: Cloud) -> Bool:
@@ -96,7 +106,7 @@ def photograph(cloud: Cloud) -> UInt8:
     dark, bright = np.nanpercentile(light, [2.0, 99.0])
     light = np.nan_to_num(np.clip((light - dark) / max(bright - dark, 0.9), 0.0, 1.0), nan=0.5)
     nearness = 1.0 - np.clip((smooth - near) / max(far - near, 0.1), 0.0, 1.0)
-    grey = np.where(known, 50.0 + 195.0 * (0.5 + 0.5 * nearness) * (0.25 + 0.75 * light), 20.0)
+    grey = np.where(known, 50.0 + 195.0 * (0.5 + 0.5 * nearness) * (0.4 + 0.6 * light), 20.0)
     return np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)
 
 
@@ -149,11 +159,11 @@ def window_of(inside: Bool, around: float = 0.33) -> tuple[int, int, int, int]:
     return left, right, top, bottom
 
 
-def _name(axes: Axes, name: str, inside: Bool, colour: str, grasp: Grasp | None) -> None:
-    """Write the id of an object on it; above it where a grasp is drawn on it."""
+def _name(axes: Axes, name: str, inside: Bool, colour: str, *, aside: bool) -> None:
+    """Write the id of an object on it; above it where a grasp is on it."""
     rows, columns = np.nonzero(inside)
     place, lift = (float(np.median(columns)), float(np.median(rows))), 0
-    if grasp is not None and grasp.object_id in ("", name):
+    if aside:
         place, lift = (float(np.median(columns)), float(rows.min())), 9
     axes.annotate(name, place, (0, lift), textcoords="offset points", color="white", fontsize=TEXT_PT,
                   fontweight="bold", ha="center", va="center", zorder=6,

@@ -66,9 +66,8 @@ class FingerScale:
             half: (N,) half widths of their intervals; None for none.
             outside: (N,) taxels that get a cross; None for none.
         """
-        colour, valid = finger_colour(finger), self.view.sensor.valid[finger]
-        axes.fill(*self._skin.T, facecolor=SKIN, linewidth=0.0)
-        axes.plot(*self._skin.T, color=colour, linewidth=1.6)  # open where the finger goes on
+        self.draw_skin(axes, finger)
+        valid = self.view.sensor.valid[finger]
         radius = _DISC * self._pitch
         if half is not None and self.widest > 0.0:
             ring = radius + _RING * self._pitch * half[valid] / self.widest
@@ -83,9 +82,13 @@ class FingerScale:
             self.marks.add("×: read outside of its interval")
             crossed = self._places[outside & valid]
             axes.plot(*crossed.T, "X", markersize=6.5, color=INK, markeredgecolor="white", markeredgewidth=0.8)
-        axes.set_aspect("equal")
+
+    def draw_skin(self, axes: Axes, finger: int) -> None:
+        """Draw one fingertip without its taxels."""
+        axes.fill(*self._skin.T, facecolor=SKIN, linewidth=0.0)
+        axes.plot(*self._skin.T, color=finger_colour(finger), linewidth=1.6)  # open where the finger goes on
+        axes.set(aspect="equal", anchor="N")
         axes.set_axis_off()
-        axes.set_anchor("N")
         axes.margins(0.03)
 
     @staticmethod

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write clouds, grasps, predictions and readings as a Rerun recording (`.rrd`).
 
+/image, objects, hand, grasp                    the photograph, or the depth as a relief, with outlines, hand and contacts
 /scene/cloud, table, objects, candidates        what the camera saw and what was found in it
 /scene/hand, thumb, middle_finger               the pose of the hand, and both fingertips at their contacts
 /taxels/TH, MF                                  the taxels unrolled, predicted beside read, in one channel
@@ -22,10 +23,13 @@ import numpy as np
 from foretouch.errors import FileError, ForetouchError, MissingDependencyError
 from foretouch.files import open_own, part_of, require_replaceable, system_errors
 from foretouch.grasp.pose import fingertip_rotation
+from foretouch.report.camera_figure import outlines_of, photograph, pixels_of
+from foretouch.report.hand_figure import COLOURS, hand_lines
+from foretouch.report.panels import OBJECT_COLOURS
 from foretouch.tactile.channels import BIOTAC_SP, LAYER_M, skin_axes
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
-from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Prediction, Touch
+from foretouch.types import Cloud, Float32, Float64, Grasp, Int32, Plane, Prediction, Touch
 
 _COLOURS: Final = ((240, 115, 130), (60, 190, 205))  # at g1, at g2
 _LEAST_FREE: Final = 100_000_000  # bytes of a disk, of which no step takes more
@@ -41,8 +45,16 @@ _CURVES: Final = {
     "read": ("read", (90, 140, 255), 3.0),
 }  # label, colour and width
 _MAX_POINTS: Final = 60_000  # of a cloud; more make a file large and the view no better
-_SHOWN: Final = ("/scene/cloud", "/scene/objects", "/scene/table", "/scene/candidates", "/taxels")  # in some steps
+_SHOWN: Final = (
+    "/image",
+    "/scene/cloud",
+    "/scene/objects",
+    "/scene/table",
+    "/scene/candidates",
+    "/taxels",
+)  # in some steps
 _AXIS_M: Final = 0.06
+_JPEG: Final = 85  # quality of images
 _TABLE_MARGIN_M: Final = 0.05  # around what was seen
 
 
@@ -55,6 +67,7 @@ class ViewStep:
     table: Plane | None = None  # in the cloud's frame
     outline: Float64 | None = None  # (n, 3) [m], convex outline of the table; None or empty if it is not known
     objects: Mapping[str, Cloud] | None = None  # by id; the first is the target
+    labels: Int32 | None = None  # (H, W) the id of each pixel's object, 0 for none, of an organised cloud
     grasp: Grasp | None = None  # whose touch is predicted or was read
     candidates: Sequence[Grasp] = ()  # the other planned grasps
     prediction: Prediction | None = None  # for `grasp`
@@ -121,7 +134,7 @@ class _Writer:
         self._to = recording
         self._view = view
         self._steps: list[ViewStep] = []  # without their clouds
-        self._seen = False  # whether any step has a cloud
+        self._seen = self._pictured = False  # whether any step has a cloud, and an image
         self._skin = skin_axes() if view.sensor.is_biotac else None  # semi-axes [m]
 
     def write(self, steps: Iterable[ViewStep]) -> int:
@@ -134,16 +147,21 @@ class _Writer:
             moved = [f"{finger}/taxels" for finger in fingers] if step.grasp else ["/scene/hand", *fingers]
             for path in (*_SHOWN, *moved):  # of the step before; a pose that is cleared and set at once is lost
                 self._to.log(path, rr.Clear(recursive=True))
+            self._image(step)
             self._scene(step)
             if step.grasp is not None:
                 self._hand(step.grasp)
             self._curves(step)
             self._to.log("/answer", rr.TextDocument(_text(step, self._view), media_type="text/markdown"))
-            self._steps.append(replace(step, cloud=None, objects=None))
+            self._steps.append(replace(step, cloud=None, objects=None, labels=None))
         if self._steps:
             self._taxels()
             self._styles()
-            self._to.send_blueprint(_layout(self._view, with_scene=self._seen), make_active=True, make_default=True)
+            self._to.send_blueprint(
+                _layout(self._view, with_scene=self._seen, with_image=self._pictured),
+                make_active=True,
+                make_default=True,
+            )
         return len(self._steps)
 
     def _begin(self, number: int, step: ViewStep) -> None:
@@ -152,6 +170,29 @@ class _Writer:
             self._to.set_time("time", timestamp=np.datetime64(step.stamp_ns, "ns"))
         else:
             self._to.disable_timeline("time")
+
+    def _image(self, step: ViewStep) -> None:
+        """Write what the camera sees, with the objects in the colours of pictures, the hand and the contacts over it."""
+        rr, cloud = self._rr, step.cloud
+        if cloud is None or not cloud.organised:
+            return
+        self._pictured = True
+        self._to.log("/image", rr.Image(photograph(cloud)).compress(jpeg_quality=_JPEG))
+        if step.labels is not None and step.objects:
+            names = sorted(step.objects, key=int)
+            found = [(k, line) for k, name in enumerate(names) for line in outlines_of(step.labels == int(name))]
+            colours = [OBJECT_COLOURS[k % len(OBJECT_COLOURS)] for k, _ in found]
+            drawn = rr.LineStrips2D(
+                [line for _, line in found], colors=_rgb(colours), labels=[names[k] for k, _ in found]
+            )
+            self._to.log("/image/objects", drawn)
+        if step.grasp is not None:
+            for part, edges in hand_lines(step.grasp).items():
+                lines = rr.LineStrips2D(pixels_of(cloud, edges), colors=_rgb([COLOURS[part]]), radii=0.5)
+                self._to.log(f"/image/hand/{part}", lines)
+            ends = pixels_of(cloud, np.stack([step.grasp.g1, step.grasp.g2]))
+            self._to.log("/image/grasp/line", rr.LineStrips2D([ends], colors=(255, 255, 255)))
+            self._to.log("/image/grasp", rr.Points2D(ends, colors=_COLOURS, radii=4.0))
 
     def _scene(self, step: ViewStep) -> None:
         rr = self._rr
@@ -269,6 +310,11 @@ class _Writer:
                 self._to.log(f"/taxels/{name}/{what}_title", heading, static=True)
 
 
+def _rgb(colours: Sequence[str]) -> list[tuple[int, ...]]:
+    """Return colours such as `#ff8000` as numbers."""
+    return [tuple(bytes.fromhex(colour[1:])) for colour in colours]
+
+
 def _table_corners(table: Plane, points: Float32) -> Float64:
     """Return (4, 3) float64 [m]: corners of the part of the table under and around (N, 3) points."""
     u = np.cross(table.normal, np.eye(3)[np.argmin(np.abs(table.normal))])
@@ -319,8 +365,8 @@ def _text(step: ViewStep, view: TaxelView) -> str:
     return "\n\n".join(lines)
 
 
-def _layout(view: TaxelView, *, with_scene: bool) -> Any:
-    """Return the scene with the answer, beside the curves and the taxels of each finger."""
+def _layout(view: TaxelView, *, with_scene: bool, with_image: bool) -> Any:
+    """Return the image and the scene with the answer, beside the curves and the taxels of each finger."""
     import rerun.blueprint as rrb
 
     columns = []
@@ -337,7 +383,8 @@ def _layout(view: TaxelView, *, with_scene: bool) -> Any:
         columns.append(rrb.Vertical(*curves, taxels))
     answer = rrb.TextDocumentView(origin="/answer", name="answer")
     scene = rrb.Spatial3DView(origin="/scene", name="scene", line_grid=False)
-    left = rrb.Vertical(scene, answer, row_shares=[3, 1]) if with_scene else answer
+    views = [rrb.Spatial2DView(origin="/image", name="camera")] * with_image + [scene] * with_scene
+    left = rrb.Vertical(*views, answer, row_shares=[*[3] * len(views), 2])
     return rrb.Blueprint(
         rrb.Horizontal(left, *columns, column_shares=[1 + with_scene, *[1] * len(columns)]),
         rrb.TimePanel(state="collapsed", timeline="step", fps=5.0, play_state="paused"),

@@ -148,7 +148,9 @@ def _height(row: Sequence[str], scene: Scene | Object) -> float:
     if "image" not in row or not isinstance(scene, Scene):
         return _SIDE_INCH
     left, right, top, bottom = window_of(scene.labels > 0)
-    return float(np.clip(PAGE_INCH / len(row) * (bottom - top) / (right - left), 2.4, 4.6)) + 0.3
+    return (
+        float(np.clip(PAGE_INCH / len(row) * (bottom - top) / (right - left), 2.4, 3.9 if len(row) > 1 else 5.4)) + 0.3
+    )
 
 
 def _image_title(scene: Scene) -> str:

@@ -35,7 +35,7 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
         check_variables()
         prepare_environment()
         for name in names:
-            NODES[name]()
+            NODES.load(name)
         raise_interrupts()
         graph = Graph({name: {} for name in names}, arguments=arguments, monitor=None)
         with suppress(KeyboardInterrupt), graph:

@@ -103,7 +103,7 @@ class Graph:
                 served.append(self.monitor)
         for name, parameters in self._parameters.items():
             with uninterrupted():
-                node = NODES[name]()(parameter_overrides=_parameters(parameters), **self._namespace)
+                node = NODES.load(name)(parameter_overrides=_parameters(parameters), **self._namespace)
                 self._closed.callback(node.destroy_node)
                 self.nodes[name] = node
                 served.append(node)

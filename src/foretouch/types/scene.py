@@ -74,7 +74,9 @@ class Object(Summarised):
     flags: tuple[str, ...] = ()  # of its predictions: `ambiguous_target` if other objects fit the rule as well
     obstacles: Obstacles | None = None  # all objects of the scene, if there are several
     image: Cloud | None = None  # the organised cloud that it was cut from, with the pixels around it; None if not known
-    confidence: float | None = None  # probability that it is one whole object; None where it is not known, as of a mask
+    confidence: float | None = (
+        None  # probability that it is one whole object; None where it is not known, such as for a mask
+    )
     background: str = ""  # why it is no object, one of `cloud.segmentation.background.REASONS`; "" for an object
 
     def __post_init__(self) -> None:

@@ -3,10 +3,13 @@
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
 from foretouch.cli.dataset import print_result
+from foretouch.cli.inputs import seed_number
 from foretouch.cli.output import progress_bar, warn
-from foretouch.dataset.formats import open_samples
+from foretouch.cli.parser import CommandParser
+from foretouch.dataset.formats import open_samples, readable_formats
 from foretouch_lab.dataset.store_writer import build_store
 from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits, read_splits
 
@@ -24,6 +27,15 @@ def _warn_of_other_hands(paths: Sequence[str]) -> None:
             warn(
                 f"{path}: is of another hand than {paths[0]}, whose readings have other levels: {'; '.join(differing)}"
             )
+
+
+def add_arguments(parser: CommandParser) -> None:
+    """Declare the options."""
+    parser.add_argument("sources", metavar="IN", nargs="+", help=f"dataset: {readable_formats()}")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="STORE", help="training store to create; must not exist"
+    )
+    parser.add_argument("--seed", type=seed_number, default=0, help="random seed of the splits")
 
 
 def run(arguments: argparse.Namespace) -> int:

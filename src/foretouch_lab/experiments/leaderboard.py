@@ -16,7 +16,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +23,8 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.models.own import GROUP, find_predictor
+from foretouch.models.own import PREDICTORS as INSTALLED
+from foretouch.models.own import find_predictor
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import Rows
@@ -158,7 +158,7 @@ def _model(name: str) -> Any:
     except ConfigError as err:
         if Path(name).exists():
             return load_model(name)
-        if name in entry_points(group=GROUP).names:
+        if name in INSTALLED:
             return find_predictor(name)
         rule = f"nor one of {', '.join(PREDICTORS)}, nor a model folder or module:attribute"
         raise ConfigError(f"models: {err}, {rule}") from err

@@ -113,7 +113,11 @@ class HandNode(ThreadNode[HandNodeConfig]):
         self._sensor = sensor = self._hand.sensor
         kind = BiotacAll if sensor.is_biotac else message_class(sensor.config.source.type)
         self._solver: Worker[tuple[GraspArray, float]] = Worker(
-            "hand-contact", lambda job: self._solve(*job), lambda _, why: self._drop(why), depth=4
+            "hand-contact",
+            lambda job: self._solve(*job),
+            partial(self.internal_errors.report, "contact"),
+            lambda _, why: self._drop(why),
+            depth=4,
         )
         self._tactile = self.advertise(kind, TACTILE_TOPIC, depth=_DEPTH)
         self._message_class: Any = kind

@@ -112,17 +112,18 @@ class _SceneImages:
             return self._maker.nothing()
 
 
-def scheduled_camera(schedule: ScheduleConfig, fps: int) -> SyntheticCamera:
-    """Start the camera of the scene that the schedule names; a `ConfigError` if it breaks a rule."""
-    return scene_camera(scheduled_scene(schedule), schedule, fps)
+def scheduled_camera(schedule: ScheduleConfig, fps: int, *, color: bool = False) -> SyntheticCamera:
+    """Start the camera of the scene that the schedule names, perhaps with colours; a `ConfigError` if it breaks a rule."""
+    return scene_camera(scheduled_scene(schedule), schedule, fps, color=color)
 
 
-def scene_camera(scene: SceneConfig, schedule: ScheduleConfig, fps: int) -> SyntheticCamera:
+def scene_camera(scene: SceneConfig, schedule: ScheduleConfig, fps: int, *, color: bool = False) -> SyntheticCamera:
     """Return a device that streams a scene, not yet started.
 
     Args:
         scene: The scene; its camera decides size and lens.
         schedule: Which sample is on the table when.
         fps: Images a second, as far as rendering keeps up [Hz].
+        color: Whether it has a colour sensor.
     """
-    return SyntheticCamera(_SceneImages(scene, schedule), fps, serial="scene")
+    return SyntheticCamera(_SceneImages(scene, schedule), fps, serial="scene", color=color)

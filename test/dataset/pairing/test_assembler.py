@@ -52,7 +52,8 @@ class Session:
 
     def look(self, number: float, at: int) -> None:
         """Add the cloud of a grasp, taken at a time [ns]."""
-        message = cloud_fields(Cloud(np.full((5, 3), number + 1, np.float32), frame_id="camera", stamp_ns=at))
+        rgb = np.full((5, 3), [1, 2, at % 251], np.uint8)
+        message = cloud_fields(Cloud(np.full((5, 3), number + 1, np.float32), rgb, "camera", at))
         data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2"))
         seen = SeenObjects.of_message(data, lambda: decode_objects(message))
         self.assembler.add("cloud", seen, received_ns=0, now_s=0.0)
@@ -131,6 +132,19 @@ def test_other_clouds_become_samples_without_a_touch_at_most_one_in_a_time() -> 
     assert [other.grasp.id for other in others] == ["g-0", "g-2"]  # 6 s apart
     assert all(other.touch is None for other in others)
     assert session.assembler.clouds_without_grasps == 1
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_samples_keep_the_colours_of_their_points_unless_the_session_does_not_want_them(kept: bool) -> None:
+    session = Session(2, unlabelled_s=0.0, colours=kept)
+    for number in (0, 1):
+        session.plan(number)
+    session.report(1)
+    samples = session.results()
+    assert len(samples) == 2
+    for sample in samples:
+        expected = [[1, 2, sample.cloud.stamp_ns % 251]] * 5
+        assert (None if sample.cloud.rgb is None else sample.cloud.rgb.tolist()) == (expected if kept else None)
 
 
 def test_the_table_of_a_sample_is_that_of_a_message_with_the_stamp_and_in_the_frame_of_its_cloud() -> None:

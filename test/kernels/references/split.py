@@ -361,7 +361,7 @@ class Split:
 
 def _odds(trees: Array, row: list[float]) -> float:
     """Sum of the leaves that a row reaches, of complete trees in the order of a heap."""
-    total, inner = 0.0, len(trees[0]) // 3
+    total, inner, row = 0.0, len(trees[0]) // 3, np.float32(row)
     for tree in trees:
         at = 0
         while at < inner:
@@ -371,7 +371,7 @@ def _odds(trees: Array, row: list[float]) -> float:
 
 
 def split_window(xyz: Array, window: Any, cell: int, settings: Array, trees: Array) -> tuple[Array, list[int], Array]:
-    """The parts of a window, their number, those joined for each reason, and the pairs that were rated; and the joins of each part."""
+    """The parts of a window; the number of clusters, of parts, those joined for each reason, and the pairs that were rated; and the joins of each part."""
     h, w = window.labels.shape
     points = xyz[window.rows : window.rows + h, window.columns : window.columns + w]
     one, counts = Split(points, window.labels.copy(), window.solid, cell, settings), [0] * 5
@@ -379,4 +379,5 @@ def split_window(xyz: Array, window: Any, cell: int, settings: Array, trees: Arr
     names, labels = np.unique(np.append(parts, 0), return_inverse=True)
     labels = labels[:-1].reshape(h, w).astype(np.int32)
     counts[0] = int(labels.max())
+    counts = [len(np.unique(window.labels[window.solid])), *counts]
     return labels, counts, np.array([one.joins.get(k, (np.nan,) * 3) for k in names.tolist()])

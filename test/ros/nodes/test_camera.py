@@ -93,6 +93,25 @@ def test_depth_images_have_the_names_of_realsense2_camera_and_the_points_of_the_
     assert camera_model(infos[0], rectified=True) == camera_model(infos[0])
 
 
+def test_colours_have_the_header_and_the_pixels_of_their_depth_image(graph, start):
+    images = graph.listen(Image, "depth/image_rect_raw")
+    colours = graph.listen(Image, "color/image")
+    node, heard, reports = start(camera__color=True)
+    graph.until(lambda: min(map(len, (heard, images, colours))) >= 3 and reports)
+    depths = {stamp_ns(message.header.stamp): message for message in images}
+    clouds = {stamp_ns(message.header.stamp): decode_cloud(message) for message in heard}
+    both = [message for message in colours if stamp_ns(message.header.stamp) in depths.keys() & clouds.keys()]
+    assert both
+    for message in both:
+        depth = depths[stamp_ns(message.header.stamp)]
+        assert message.header == depth.header
+        assert (message.encoding, message.height, message.width, message.step) == ("rgb8", 160, 212, 636)
+        rgb = np.frombuffer(message.data, np.uint8).reshape(160, 212, 3)
+        np.testing.assert_array_equal(rgb, clouds[stamp_ns(message.header.stamp)].rgb)
+        assert len(np.unique(rgb.reshape(-1, 3), axis=0)) > 10
+    assert int(reports[-1].values["without_color"]) == node._camera.status.colourless == 0
+
+
 def test_a_cloud_is_made_only_for_a_subscriber(graph, monkeypatch, tmp_path):
     made = []
     monkeypatch.setattr("foretouch.ros.nodes.camera.cloud_to_msg", made.append)

@@ -142,16 +142,26 @@ def test_depth_images_are_recorded_with_their_infos_and_read_again(graph, tmp_pa
     topic = "/camera/camera/depth/image_rect_raw"
     images = graph.probe.create_publisher(Image, topic, 10)
     infos = graph.probe.create_publisher(CameraInfo, "/camera/camera/depth/camera_info", 10)
-    (node,) = graph.add("recorder", record=str(tmp_path / "set"), depth=topic, **QUICK)
-    graph.until(lambda: node.recording and images.get_subscription_count() and infos.get_subscription_count())
+    colour_topic, pixels_rgb = (
+        "/camera/camera/color/image_raw",
+        np.arange(48 * 84 * 3, dtype=np.uint32).astype(np.uint8),
+    )
+    colours = graph.probe.create_publisher(Image, colour_topic, 10)
+    (node,) = graph.add("recorder", record=str(tmp_path / "set"), depth=topic, color=colour_topic, **QUICK)
+    publishers = (images, infos, colours)
+    graph.until(lambda: node.recording and all(each.get_subscription_count() for each in publishers))
     for k in range(5):
         header = header_to_msg("lens", 1_700_000_000_000_000_000 + k)
         infos.publish(CameraInfo(header=header, height=48, width=84, k=[61.0, 0, 41.5, 0, 61.0, 23.5, 0, 0, 1.0]))
         images.publish(Image(header=header, height=48, width=84, encoding="16UC1", step=plain.step, data=plain.data))
-    graph.until(lambda: accounts(node.status())[topic].written == 5)
+        colours.publish(
+            Image(header=header, height=48, width=84, encoding="rgb8", step=84 * 3, data=pixels_rgb.tobytes())
+        )
+    graph.until(lambda: accounts(node.status())[topic].written == accounts(node.status())[colour_topic].written == 5)
     node.end()
     clouds = [item.cloud for item in open_source(tmp_path / "set", topic)]
     assert [cloud.stamp_ns % 10 for cloud in clouds] == list(range(5))
     expected = Cloud.from_depth(pixels, CameraModel(84, 48, 61.0, 61.0, 41.5, 23.5)).xyz
     for cloud in clouds:
         np.testing.assert_array_equal(cloud.xyz, expected)
+        np.testing.assert_array_equal(cloud.rgb, pixels_rgb.reshape(48, 84, 3))

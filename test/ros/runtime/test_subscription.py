@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from foretouch.errors import ConfigError
-from foretouch.ros.nodes import node_class
+from foretouch.ros.nodes import NODES
 from foretouch.ros.runtime.subscription import InputTopic, Losses
 from foretouch_msgs.msg import TablePlane
 
@@ -71,7 +71,7 @@ class Receiver:
     def __init__(self, graph, latched=None, **overrides):
         names = {name: f"qos_overrides./foretouch/other.subscription.{name}" for name in overrides}
         parameters = [Parameter(names[name], value=value) for name, value in overrides.items()]
-        self.node = node_class("grasp")(parameter_overrides=parameters)
+        self.node = NODES.load("grasp")(parameter_overrides=parameters)
         graph.serve(self.node)
         self.stamps = []
         hear = lambda message: self.stamps.append(message.header.stamp.nanosec)  # noqa: E731

@@ -12,7 +12,8 @@ class Recorded:
 
     def __init__(self, **options):
         self.done, self.dropped, self.begun, self.go = [], [], threading.Semaphore(0), threading.Semaphore(0)
-        self.worker = Worker("w", self.work, lambda *one: self.dropped.append(one), **options)
+        self.errors = []
+        self.worker = Worker("w", self.work, self.errors.append, lambda *one: self.dropped.append(one), **options)
 
     def work(self, item):
         self.begun.release()

@@ -10,7 +10,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.conversions import header_to_msg
-from foretouch.ros.nodes import node_class
+from foretouch.ros.nodes import NODES
 from foretouch.types import Cloud
 from foretouch_msgs.msg import Status, TouchPredictionArray
 
@@ -54,7 +54,7 @@ class Camera:
     def __init__(self, graph, model, kind=Image, topic="depth/image", reliable=True, remap=()):
         self.graph = graph
         options = {"cli_args": ["--ros-args", *remap]} if remap else {}
-        self.node = node_class("perception")(parameter_overrides=graph.parameters(model=model), **options)
+        self.node = NODES.load("perception")(parameter_overrides=graph.parameters(model=model), **options)
         graph.serve(self.node)
         self.node.autostart()
         self.heard = graph.listen(TouchPredictionArray, "touch")

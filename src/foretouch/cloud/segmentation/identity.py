@@ -6,7 +6,7 @@ that are no images, or of another size, are compared by centroid. Objects that a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count, groupby
 from typing import Final
 
@@ -42,8 +42,8 @@ class ObjectIdentity:
         self._ids = count(1)
         self._clouds = 0
 
-    def keep(self, scene: Scene) -> Scene:
-        """Return the scene of the next cloud with the ids of the stream, in its objects and in its labels, which are changed in place.
+    def ids(self, scene: Scene) -> list[str]:
+        """Return the ids of the stream of the objects of the next cloud, and write them into the labels of its scene.
 
         Its counts get `new_ids`: objects that were not seen before.
         """
@@ -52,15 +52,16 @@ class ObjectIdentity:
         names = np.zeros(len(scene.objects) + 1, np.int32)
         for label in range(1, len(names)):
             names[label] = known.get(label) or next(self._ids) % _LAST
-        objects = tuple(replace(object_, id=str(name)) for name, object_ in zip(names[1:], scene.objects, strict=True))
-        shape = scene.labels.shape
+        ids, shape = names[1:].tolist(), scene.labels.shape
         self._seen |= {
-            int(object_.id): _Seen(object_.pixels, object_.centroid, shape, self._clouds) for object_ in objects
+            id_: _Seen(object_.pixels, object_.centroid, shape, self._clouds)
+            for id_, object_ in zip(ids, scene.objects, strict=True)
         }
         self._seen = {id_: sight for id_, sight in self._seen.items() if self._clouds - sight.at < _REMEMBERED}
         if not np.array_equal(names, np.arange(len(names))):
             _rename(scene.labels, names)
-        return replace(scene, objects=objects, counts=scene.counts | {"new_ids": len(objects) - len(known)})
+        scene.counts["new_ids"] = len(ids) - len(known)
+        return [str(id_) for id_ in ids]
 
     def _known(self, scene: Scene) -> dict[int, int]:
         """Return the id of the stream by the label in this cloud: most pixels first, objects of the cloud before first."""

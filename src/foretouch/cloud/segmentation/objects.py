@@ -3,8 +3,8 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from foretouch.cloud.segmentation.confidence import confidence
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
-from foretouch.types import Cloud, Float64, Int32, Plane
+from foretouch.types import Cloud, Float64, Int32, Int64, Plane
 from foretouch.types.scene import NEAR_M, Object
 
 _collect_members = Kernel("collect_members")
@@ -58,42 +58,61 @@ def extract_objects(
     flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
     image = np.atleast_2d(labels)
     shape = image.shape if cloud.organised else None
-    standing: list[tuple[float, int, int, Object]] = []  # distance, window and label, by which they are sorted
-    behind = standing.copy()
+    standing: list[tuple[_Part, tuple[str, ...]]] = []  # with the flags of the object
+    behind: list[tuple[_Part, str]] = []  # with the reason
     rejected = []
     first = 0  # label of the window among all labels
     for number, window in enumerate(windows):
-        for label, candidate, top_m in _clusters(flat, window, image.shape[1], threshold.plane, shape):
-            reason = "" if found is None else REASONS[found.reasons[first + label]]
-            if reason == ENTERS or (reason and candidate.n_points >= config.min_points):
-                behind.append((candidate.distance_m, number, label, replace(candidate, background=reason)))
-            elif not reason and _plausible(candidate, top_m, threshold, config):
-                flags = (CUT,) if found is not None and found.cut[first + label] else ()
-                standing.append((candidate.distance_m, number, label, replace(candidate, flags=flags)))
+        for part in _parts(flat, number, window, image.shape[1], threshold.plane):
+            reason = "" if found is None else REASONS[found.reasons[first + part.label]]
+            if reason == ENTERS or (reason and part.cloud.size >= config.min_points):
+                behind.append((part, reason))
+            elif not reason and _plausible(part, threshold, config):
+                cut = found is not None and bool(found.cut[first + part.label])
+                standing.append((part, (CUT,) if cut else ()))
             else:
-                rejected.append(candidate.n_points)
+                rejected.append(part.cloud.size)
         first += window.n_labels
-    standing.sort(key=lambda entry: entry[:3])
-    behind.sort(key=lambda entry: entry[:3])
+    standing.sort(key=lambda entry: entry[0].order)
+    behind.sort(key=lambda entry: entry[0].order)
     ids = [np.zeros(window.n_labels + 1, np.int32) for window in windows]
-    for k, (_, number, label, _) in enumerate(standing, 1):
-        ids[number][label] = k
+    for k, (part, _) in enumerate(standing, 1):
+        ids[part.window][part.label] = k
     labelled = sum(_write_ids(image, *entry) for entry in zip(windows, ids, strict=True))
-    objects = tuple(
-        replace(object_, id=str(k), confidence=confidence(windows[number], label, object_.n_points))
-        for k, (_, number, label, object_) in enumerate(standing, 1)
-    )
-    background = tuple(object_ for *_, object_ in behind)
+    objects = []
+    for k, (part, flags) in enumerate(standing, 1):
+        sure = confidence(windows[part.window], part.label, part.cloud.size)
+        objects.append(part.made(str(k), threshold.plane, shape, flags=flags, confidence=sure))
+    background = tuple(part.made("0", threshold.plane, shape, background=reason) for part, reason in behind)
     used = sum(object_.n_points for object_ in objects)
     counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": labelled - used}
     counts |= {"n_background": len(background)} | Counter(f"n_{entry.background}" for entry in background)
-    return objects, background, counts
+    return tuple(objects), background, counts
 
 
-def _clusters(
-    flat: Cloud, window: Clusters, width: int, plane: Plane, shape: tuple[int, int] | None
-) -> Iterator[tuple[int, Object, float]]:
-    """Iterate over the clusters of a window with solid points: the label, an object with the id of background, and its height [m]."""
+class _Part(NamedTuple):
+    """A cluster of a window, of which an object may be made."""
+
+    cloud: Cloud  # its solid points
+    centroid: Float64
+    bounds: Float64
+    pixels: Int64
+    top_m: float  # height above the table [m]
+    window: int  # its number
+    label: int
+
+    @property
+    def order(self) -> tuple[float, int, int]:
+        """Distance from the camera [m], then the position in the image."""
+        return float(np.linalg.norm(self.centroid)), self.window, self.label
+
+    def made(self, object_id: str, plane: Plane, shape: tuple[int, int] | None, **facts: Any) -> Object:
+        """Make the object."""
+        return Object(object_id, self.cloud, plane, self.centroid, self.bounds, self.pixels, shape, **facts)
+
+
+def _parts(flat: Cloud, number: int, window: Clusters, width: int, plane: Plane) -> Iterator[_Part]:
+    """Iterate over the clusters of a window with solid points."""
     count, size = int(np.count_nonzero(window.solid)), window.n_labels + 1
     ends, pixels, points = np.empty(size, np.int64), np.empty(count, np.int64), np.empty((count, 3), np.float32)
     columns, bounds, tops = np.empty((3, count)), np.empty((size, 2, 3), np.float32), np.empty(size, np.float32)
@@ -104,19 +123,19 @@ def _clusters(
         if end > start:
             rgb = None if flat.rgb is None else flat.rgb.take(pixels[start:end], axis=0)
             part = Cloud(points[start:end], rgb, flat.frame_id, flat.stamp_ns)
-            centroid = columns[:, start:end].mean(axis=1)
+            centroid = np.add.reduce(columns[:, start:end], axis=1) / (end - start)  # in half the time of mean
             box = bounds[cluster].astype(np.float64)
-            yield cluster, Object("0", part, plane, centroid, box, pixels[start:end], shape), float(tops[cluster])
+            yield _Part(part, centroid, box, pixels[start:end], float(tops[cluster]), number, cluster)
         start = end
 
 
-def _plausible(candidate: Object, top_m: float, threshold: HeightThreshold, config: ClusterConfig) -> bool:
+def _plausible(part: _Part, threshold: HeightThreshold, config: ClusterConfig) -> bool:
     """Neither speckle nor noise or waves of the table, nor a wall."""
-    waves_m = 2.0 * threshold.noise_per_m * candidate.centroid[2] ** 2
+    waves_m = 2.0 * threshold.noise_per_m * part.centroid[2] ** 2
     return bool(
-        candidate.n_points >= config.min_points
-        and (candidate.bounds[1] - candidate.bounds[0]).max() <= config.max_extent_m
-        and np.float32(top_m) >= np.float32(max(config.min_top_m, waves_m))
+        part.cloud.size >= config.min_points
+        and (part.bounds[1] - part.bounds[0]).max() <= config.max_extent_m
+        and np.float32(part.top_m) >= np.float32(max(config.min_top_m, waves_m))
     )
 
 
@@ -133,7 +152,7 @@ class TargetConfig(Settings):
 
     mode: TargetMode = setting(
         "nearest",
-        "nearest to the camera of those that are surest to be whole, largest in points, the one at a point, the nearest whose best grasp no other object blocks, or all",
+        "nearest to the camera of the objects that are most surely whole, largest in points, the one at a point, the nearest whose best grasp no other object blocks, or all",
         choices=get_args(TargetMode),
     )
     point: tuple[float, ...] = setting((), "x, y, z for mode point, in the cloud's frame", unit="m")
@@ -211,7 +230,7 @@ def surest(objects: Sequence[Object], config: TargetConfig, previous: Float64 | 
 
     Those that the image does not cut, if there are any; of these, those whose confidence is at most `confidence_margin` below the
     highest one. For the object that is where the previous target was the margin is twice as wide, so that noise does not change the
-    target in a stream. Where a confidence is not known, as of a mask, none is left out for it.
+    target in a stream. Objects without a confidence, such as from a mask, are all kept.
     """
     whole = _whole(objects)
     known = [obj.confidence for obj in whole if obj.confidence is not None]

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple, Self
 
 import numpy as np
 from safetensors.numpy import load_file
@@ -26,7 +27,7 @@ from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.segmentation.clusters import LOCAL_FACTOR, Clusters, HeightThreshold, WritePoints
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel, struct
-from foretouch.types import Float32, Float64, Int32, Int64
+from foretouch.types import Float32, Float64, Int32, Int64, UInt8
 
 _split = Kernel("split_clusters")
 _write_ids = Kernel("write_ids")
@@ -73,11 +74,25 @@ class SplitConfig(Settings):
     )
 
 
+class Trees(NamedTuple):
+    """Boosted trees of one depth, the nodes and leaves of each in the order of a heap."""
+
+    features: UInt8  # (T, 2**depth - 1) that a node looks at
+    thresholds: Float32  # the same: a feature above it leads to the second branch
+    leaves: Float32  # (T, 2**depth) log odds
+
+    @classmethod
+    def of(cls, trees: Float32) -> Self:
+        """Return trees (T, 3 * 2**depth - 2) that are stored as nodes (feature, threshold) and leaves."""
+        nodes = trees[:, : 2 * (trees.shape[1] // 3)]
+        leaves = trees[:, nodes.shape[1] :]
+        return cls(nodes[:, ::2].astype(np.uint8), np.ascontiguousarray(nodes[:, 1::2]), np.ascontiguousarray(leaves))
+
+
 @cache
-def _trees() -> Float32:
-    """Return (T, 3 * 2**depth - 2) float32: trees, each of nodes (feature, threshold) and leaves in the order of a heap."""
-    trees: Float32 = load_file(TREES)["trees"]
-    return trees
+def _trees() -> Trees:
+    """Return the trees that rate fragments."""
+    return Trees.of(load_file(TREES)["trees"])
 
 
 def split_clusters(
@@ -128,10 +143,8 @@ def split_clusters(
         pitch * cell,
         threshold.local_per_m,
     ]
-    labels, (parts, *joined, _), joins = split_window(xyz, window, cell, np.array(settings))
-    clusters = np.zeros(window.n_labels + 1, np.bool_)
-    clusters[window.labels[window.solid]] = True  # in a fifth of the time of a bincount of all pixels
-    counts = dict(zip(counts, (int(np.count_nonzero(clusters)), parts, *joined), strict=True))
+    labels, (*numbers, _), joins = split_window(xyz, window, cell, np.array(settings))
+    counts, parts = dict(zip(counts, numbers, strict=True)), numbers[1]
     return [Clusters(labels, window.solid & (labels > 0), parts, window.rows, window.columns, joins)], counts
 
 
@@ -148,20 +161,22 @@ def split_window(
         rows: (n, 66) float64, written: the pixels of both fragments in whole cells, and the input of the trees, of the first pairs that are rated.
 
     Returns:
-        The parts (h, w) int32; the number of parts, those that were joined for each reason, and the pairs that were rated; and
+        The parts (h, w) int32; the number of clusters and of parts, those that were joined for each reason, and the pairs that were rated; and
         the joins of each part (see `Clusters`).
 
     Raises:
         MemoryError: If there is not enough memory.
     """
-    labels, nodes, counts = window.labels.copy(), _trees(), np.empty(len(SPLIT_COUNTS), np.int64)
-    depth = (nodes.shape[1] // 3 + 1).bit_length() - 1
-    trees = struct("Trees", nodes=nodes, count=len(nodes), depth=depth, rows=rows, room=len(rows))
+    labels, known, counts = window.labels.copy(), _trees(), np.empty(len(SPLIT_COUNTS), np.int64)
+    count, leaves = known.leaves.shape
+    sized = {"count": count, "depth": leaves.bit_length() - 1, "rows": rows, "room": len(rows)}
+    trees = struct("Trees", **known._asdict(), **sized)
     joins = np.empty((-(-labels.shape[0] // cell) * -(-labels.shape[1] // cell) + 1, _JOINS))
-    _split(window._replace(labels=labels).as_struct(xyz), cell, settings, trees, counts, joins)
+    clusters = np.zeros(window.n_labels + 1, np.uint8)
+    _split(window._replace(labels=labels).as_struct(xyz), cell, settings, trees, counts, joins, clusters)
     if counts[0] < 0:
         raise MemoryError("split_clusters")
-    return labels, counts.tolist(), joins[: counts[0] + 1]
+    return labels, [int(np.count_nonzero(clusters)), *counts.tolist()], joins[: counts[0] + 1]
 
 
 def _cell_of(noise_per_m: float, least_m: float, depth: float, side: float) -> int:

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import spread
 from foretouch.cloud.geometry.frames import FIELD_OF_VIEW_DEG, TANGENT
 from foretouch.types import Bool, Float32, Float64, Index
 
@@ -95,7 +96,7 @@ def _fit_rays(sample: Float32, pixels: Float64) -> Float64:
     """Return (3, 2) float64: x/z and y/z for 1, column and row. Robust: up to about half of the points may be damaged."""
     usable = np.flatnonzero(finite_rows(sample))
     if len(usable) > _FITTED:
-        usable = usable[np.linspace(0.0, len(usable) - 1.0, _FITTED).astype(np.intp)]
+        usable = usable[spread(len(usable), _FITTED)]
     points, pixels = sample[usable].astype(np.float64), pixels[usable]
     tangents = points[:, :2] / points[:, 2:]
     rays = _least_squares(pixels, tangents)

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from foretouch.cloud.geometry.columns import median
+from foretouch.cloud.geometry.columns import median, spread
 from foretouch.cloud.geometry.frames import TANGENT, not_optical
 from foretouch.cloud.geometry.pixel_grid import listed_image
 from foretouch.cloud.segmentation.background import REASONS, find_background
@@ -159,7 +159,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         coarse, stride, index = _coarse(source, config.crop, config.grid_rows)
         xyz, write = _writable(source, coarse, stride)
         if len(index) > _PLANE_POINTS:  # evenly distributed
-            index = index[np.linspace(0.0, len(index) - 1.0, _PLANE_POINTS).astype(np.intp)]
+            index = index[spread(len(index), _PLANE_POINTS)]
         sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
         rays, fault = None, ""
         if image and cloud.camera is None:  # else each point is on its ray

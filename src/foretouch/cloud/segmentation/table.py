@@ -196,10 +196,10 @@ def _others(xyz: Float32, first: PlaneFit, config: PlaneConfig, least: float) ->
 
 def _wide_above(xyz: Float32, low: _View, config: PlaneConfig) -> _View:
     """Return a plane above another one, parallel to it and wider than an object, as a table above the floor; else that one."""
-    high = xyz[low.height > _ABOVE_M]
-    if len(high) < config.min_fraction * len(xyz):
+    high = low.height > _ABOVE_M
+    if np.count_nonzero(high) < config.min_fraction * len(xyz):
         return low
-    view = _view(xyz, fit_plane(high, config), config, low.one_view)
+    view = _view(xyz, fit_plane(xyz[high], config), config, low.one_view)
     if view is None or view.plane.normal @ low.plane.normal < _PARALLEL or view.share < config.min_fraction:
         return low
     wide = np.linalg.eigvalsh(np.cov(xyz[view.on].T))[2] > _WIDE_M**2

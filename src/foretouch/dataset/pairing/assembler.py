@@ -48,6 +48,7 @@ class AssemblerConfig:
     assume_grasps: bool = False  # whether a contact without a report belongs to the best grasp of the last cloud before
     successes_only: bool = False  # whether grasps that failed after contact are rejected too
     watch_sensors: bool = False  # whether contacts are detected and the sensors' state is followed, which takes time
+    colours: bool = True  # whether samples keep the colours of their points, where these have some
     check_clock: bool = True  # whether messages are received live, so that clocks can be compared
 
 
@@ -216,7 +217,7 @@ class SampleAssembler:
         return replace(
             match.sample,
             object=label.object or self._object_at(executed.interval.start if executed.interval else 0),
-            cloud=seen.cloud,
+            cloud=self._kept(seen.cloud),
             table=self._table_of(seen),
             grasp=grasp,
             stamp_ns=executed.interval.contact if executed.interval else 0,
@@ -226,6 +227,10 @@ class SampleAssembler:
             note="; ".join(filter(None, (self.config.note, label.note, left_out))),
             flags=(*self._reader.flags, *executed.flags, *match.sample.flags, *([DISCARDED] if label.discard else [])),
         )
+
+    def _kept(self, cloud: Cloud) -> Cloud:
+        """Return the points of a sample, with their colours if these are wanted."""
+        return cloud if self.config.colours or cloud.rgb is None else replace(cloud, rgb=None)
 
     def _table_of(self, seen: Object) -> Plane:
         """Return the table of an object: its own, or that of a message about its cloud in the same frame."""
@@ -242,7 +247,7 @@ class SampleAssembler:
         return Sample(
             id="",
             object=self._object_at(cloud.stamp_ns),
-            cloud=seen.cloud,
+            cloud=self._kept(seen.cloud),
             table=self._table_of(seen),
             grasp=grasp,
             stamp_ns=cloud.stamp_ns,

@@ -34,7 +34,7 @@ from foretouch.dataset.files import require_version
 from foretouch.dataset.identity import Identity, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described, shown
 from foretouch.files import TEXT_LIMIT, parse_json, read_bytes
-from foretouch.grasp.messages import decode_grasp, grasp_fields
+from foretouch.grasp.messages import decode_grasp, encode_grasp
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, sensor_of
@@ -115,9 +115,9 @@ def sample_fields(sample: Sample, identity: Identity, sensor: Sensor) -> SimpleN
         outcome=OUTCOMES.index(sample.outcome),
         note=sample.note,
         cloud=cloud_fields(sample.cloud, "cloud.stamp_ns"),
-        grasp=grasp_fields(sample.grasp),
+        grasp=encode_grasp(sample.grasp),
         score=float(sample.grasp.score),
-        candidates=[grasp_fields(grasp) for grasp in sample.candidates],
+        candidates=[encode_grasp(grasp) for grasp in sample.candidates],
         sensor=_sensor_text(sensor),
         labelled=sample.touch is not None,
         touch=np.empty(0) if sample.touch is None else sample.touch.values,

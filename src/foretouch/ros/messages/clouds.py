@@ -17,7 +17,7 @@ from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import join_objects
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.ros.messages.placement import Placement
-from foretouch.types import AnyArray, Cloud, Float64
+from foretouch.types import AnyArray, Cloud, Float64, UInt8
 from foretouch.types.camera import MODELS
 from foretouch.types.cloud import DepthCloud
 from foretouch.types.scene import Object, Scene
@@ -79,6 +79,11 @@ def depth_to_msgs(frame: DepthFrame) -> tuple[Image, CameraInfo]:
     return image, info
 
 
+def colours_to_msg(header: Header, rgb: UInt8) -> Image:
+    """Convert colours (H, W, 3) uint8 to rgb8."""
+    return _image(header, rgb, "rgb8")
+
+
 def _image(header: Header, pixels: AnyArray, encoding: str) -> Image:
     """Make an image of (H, W) or (H, W, C) numbers in the byte order of this machine, or little-endian ones."""
     pixels = np.ascontiguousarray(pixels)
@@ -96,7 +101,7 @@ def labels_to_msg(scene: Scene, header: Header) -> Image:
 
 
 def overlay_to_msg(scene: Scene, header: Header) -> Image:
-    """Draw the objects over the image, rgb8: targets in full colour, others paler; by its colours, or the brighter the nearer.
+    """Draw the objects over the image, rgb8: targets in full colour, others paler, outlined; by its colours, or the brighter the nearer.
 
     Of an image that is wider than 480 pixels, every second, third, ... row and column is drawn: it is to be looked at.
     """
@@ -113,8 +118,21 @@ def overlay_to_msg(scene: Scene, header: Header) -> Image:
     pixels, flat = np.flatnonzero(labels > 0), drawn.reshape(-1, 3)
     ids = labels.reshape(-1)[pixels]
     shares = np.where(np.isin(ids, [int(target.id) for target in scene.targets]), _TARGET, _OTHER)[:, None]
+    border = np.flatnonzero(_borders(labels))
     flat[pixels] = ((255 - shares) * flat[pixels] + shares * _OBJECT_RGB[ids % len(_OBJECT_RGB)]) // 255
+    flat[border] = _OBJECT_RGB[labels.reshape(-1)[border] % len(_OBJECT_RGB)]
     return _image(header, drawn, "rgb8")
+
+
+def _borders(labels: AnyArray) -> AnyArray:
+    """Return (H, W) which pixels of objects have one of another label below or beside them."""
+    border = np.zeros(labels.shape, np.bool_)
+    across, along = labels[:, 1:] != labels[:, :-1], labels[1:] != labels[:-1]
+    border[:, 1:] |= across
+    border[:, :-1] |= across
+    border[1:] |= along
+    border[:-1] |= along
+    return border & (labels > 0)
 
 
 def _millimetres(cloud: Cloud) -> AnyArray:

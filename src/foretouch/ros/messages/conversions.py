@@ -12,10 +12,10 @@ from std_msgs.msg import Header
 
 from foretouch.errors import CloudError, ModelError
 from foretouch.grasp import Obstacles
-from foretouch.grasp.messages import REFERENCES, decode_predictions
+from foretouch.grasp.messages import REFERENCES, MessageClasses, decode_predictions, encode_grasp
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Prediction, WayIn
+from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Prediction
 from foretouch.types.predictions import evidence_text
 from foretouch.types.rotations import quaternion_xyzw
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -24,6 +24,8 @@ from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 
 REFERENCE_CODES: dict[str, int] = {name: code for code, name in enumerate(REFERENCES)}
 """Numbers of references in messages."""
+
+_CLASSES = MessageClasses(GraspMsg, Point, Vector3, Pose, Quaternion)
 
 
 def stamp_to_msg(nanoseconds: int) -> Time:
@@ -86,46 +88,9 @@ def rotation_to_msg(rotation: Float64) -> Quaternion:
 
 
 def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> GraspMsg:
-    """Convert a grasp; `pose` is redundant, `pose_of_hand` is for those who move the hand.
-
-    Args:
-        grasp: In the frame of its cloud.
-        status: Of `foretouch_msgs/Status`.
-        reason: Of the status.
-    """
-    return GraspMsg(
-        id=grasp.id,
-        object_id=grasp.object_id,
-        g1=point_to_msg(grasp.g1),
-        g2=point_to_msg(grasp.g2),
-        pose=Pose(position=point_to_msg(grasp.midpoint), orientation=rotation_to_msg(grasp.rotation)),
-        rotation=grasp.rotation.reshape(9),
-        score=grasp.score,
-        status=status,
-        reason=reason,
-        width_m=grasp.width_m,
-        flags=list(grasp.flags),
-        **_way_fields(grasp.way),
-    )
-
-
-def _way_fields(way: WayIn | None) -> dict[str, Any]:
-    """Make the fields of a grasp that hold how the hand comes to it; none without a way in."""
-    if way is None:
-        return {}
-    x, y, z = map(float, way.approach)
-    at = way.pose_of_hand
-    return {
-        "hand": way.hand,
-        "approach": Vector3(x=x, y=y, z=z),
-        "depth_m": way.depth_m,
-        "width_at_most_m": way.width_at_most_m,
-        "approaches": array.array("f", np.ascontiguousarray(way.approaches, np.float32).tobytes()),
-        "thumb_at": way.thumb_at,
-        "pose_of_hand": Pose(position=point_to_msg(at[:3, 3]), orientation=rotation_to_msg(at[:3, :3])),
-        "joints": list(way.joints),
-        "posture": array.array("d", np.ascontiguousarray(way.posture, np.float64).tobytes()),
-    }
+    """Convert a grasp, which has a status and its reason, by `encode_grasp`."""
+    made: GraspMsg = encode_grasp(grasp, status, reason, _CLASSES)
+    return made
 
 
 def prediction_from_msg(message: TouchPredictionMsg, sensor: Sensor = BIOTAC_SP) -> Prediction:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publishes depth images from a RealSense that is connected, recorded or simulated, by the names of `realsense2_camera`.
 
-Clouds are published on `points` while somebody subscribes to them.
+Clouds are published on `points` while somebody subscribes to them, and with `camera.color` the colours of the images on
+`color/image`, with their header.
 
 Threads: one thread reads the camera (and so opens, waits for and reopens it) and publishes; the
 executor's callbacks only read its status.
@@ -15,17 +16,21 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from foretouch.camera.config import RealSenseConfig, ScheduleConfig
 from foretouch.camera.realsense import CameraStatus, RealSenseCamera
+from foretouch.camera.source import SOURCES, ImageSource
 from foretouch.camera.stream import DepthFrame
 from foretouch.cloud.io.depth_messages import info_topic
 from foretouch.config import setting
+from foretouch.doors import needs_extras
 from foretouch.errors import CloudError
-from foretouch.laboratory import needs_laboratory
-from foretouch.ros.messages.clouds import cloud_to_msg, depth_to_msgs
+from foretouch.ros.messages.clouds import cloud_to_msg, colours_to_msg, depth_to_msgs
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
 
 DEPTH_TOPIC: Final = "depth/image_rect_raw"
 """Of the depth images, as `realsense2_camera` names it; their infos are beside it."""
+
+COLOUR_TOPIC: Final = "color/image"
+"""Of the colours of their pixels, as `perception` receives them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +38,9 @@ class CameraNodeConfig(NodeConfig):
     """Settings of the camera node."""
 
     source: str = setting(
-        "device", "`device` (see `camera`), `scene` (see `scene`), or the path of a recording", read_only=True
+        "device",
+        "`device` (see `camera`), `scene` (see `scene`), another source of an installed package, or the path of a recording",
+        read_only=True,
     )
     camera: RealSenseConfig = field(default_factory=RealSenseConfig)
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
@@ -46,26 +53,26 @@ class CameraNode(ThreadNode[CameraNodeConfig]):
     exclusive_topics = (DEPTH_TOPIC,)
 
     def __init__(self, **options: Any) -> None:
-        self.synthetic: Any = None  # the laboratory's `SyntheticCamera` where `source` is `scene`
+        self.synthetic: Any = None  # what feeds the camera, of a source that an installed package adds, such as `scene`
         self._camera: RealSenseCamera | None = None
         self._size: dict[str, int] = {}  # of the image, where it is set by a scene
         super().__init__(**options)
 
     def _setup(self) -> None:
         config = self.config
-        if config.source == "scene":
-            with needs_laboratory("source: scene"):
-                from foretouch_lab.simulation.scene_camera import scheduled_camera
-
-            self.synthetic = scheduled_camera(config.scene, config.camera.fps)
+        if config.source != "device" and config.source in SOURCES:
+            with needs_extras(f"source: {config.source}"):
+                source: ImageSource = SOURCES.load(config.source, f"source: {config.source}")
+                self.synthetic = source.device(config.scene, config.camera.fps, color=config.camera.color)
             self._size = dict(zip(("height", "width"), self.synthetic.shape, strict=True))
         self._image = self.advertise(Image, DEPTH_TOPIC)
         self._info = self.advertise(CameraInfo, info_topic(DEPTH_TOPIC))
         self._points = self.advertise(PointCloud2, "points")
+        self._colours = self.advertise(Image, COLOUR_TOPIC) if config.camera.color else None
 
     def _start(self) -> None:
         config, source = self.config.camera.replace(**self._size), self.config.source
-        if source not in {"device", "scene"}:
+        if source != "device" and self.synthetic is None:
             config = config.replace(file=source)
         self._camera = RealSenseCamera(config, self.synthetic, self._log_status)
         if self.synthetic is not None:
@@ -89,7 +96,7 @@ class CameraNode(ThreadNode[CameraNodeConfig]):
     def diagnose(self, report: Report) -> None:
         """Report the camera's state and counts, and why a scene is not shown."""
         report.values["source"] = self.config.source
-        if fault := getattr(self.synthetic.frame, "fault", "") if self.synthetic else "":
+        if self.synthetic is not None and (fault := self.synthetic.fault):
             report.warnings.append(fault)
         if self._camera is None:
             report.values["camera"] = "closed"
@@ -99,6 +106,8 @@ class CameraNode(ThreadNode[CameraNodeConfig]):
             report.errors.append(f"{status.state}: {status.reason}")
         report.values |= {"camera": status.state, "reason": status.reason, "device": status.device}
         report.values |= {"opened": str(status.opened), "failures": str(status.failures)}
+        if self._colours is not None:
+            report.values["without_color"] = str(status.colourless)
 
     # The thread.
 
@@ -122,6 +131,8 @@ class CameraNode(ThreadNode[CameraNodeConfig]):
     def _publish(self, frame: DepthFrame) -> None:
         image, info = depth_to_msgs(frame)
         self._info.publish(info)  # first, so that no image waits for it
+        if self._colours is not None and frame.rgb is not None and self._colours.get_subscription_count():
+            self._colours.publish(colours_to_msg(image.header, frame.rgb))
         self._image.publish(image)
         if self._points.get_subscription_count():
             try:

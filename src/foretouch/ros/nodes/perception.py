@@ -25,7 +25,7 @@ from foretouch.ros.messages.requests import (
     status_code,
 )
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
-from foretouch.ros.runtime.processing_node import Answer, Input, ProcessingConfig, ProcessingNode
+from foretouch.ros.runtime.processing_node import Answer, Input, ProcessingConfig, ProcessingNode, Published
 from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.steps.camera_input import CameraInput, CameraInputSettings
 from foretouch.ros.steps.frames import Frames
@@ -78,39 +78,37 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
             self.steps = (self._segmentation, *self.steps, self._camera)
 
     def _answer(self, item: Input) -> Answer:
+        header, planner, touch = item.header, self._planner, self._touch
+        targets, status, reason, publish = self._seen(item)
+        touch.latest = targets if targets.objects else targets._replace(refusal=RefusalError(status, reason))
+        if not targets.objects:
+            publish += [(step, partial(step.refuse, header, status, reason)) for step in (planner, touch)]
+            return Answer(status, reason, publish)
+        grasps, plans = planner.plan(targets.objects, header, reason)
+        publish.append((planner, partial(planner.publish, grasps, targets.answered_in)))
+        if grasps.grasps:
+            answer = touch.answer_plans(targets.objects, plans, grasps)
+            status, reason = answer.summary
+            publish.append((touch, partial(touch.publish, answer, grasps, targets)))
+        else:
+            status, reason = grasps.status, grasps.reason
+            publish.append((touch, partial(touch.refuse, header, status, reason)))
+        return Answer(status, reason, publish)
+
+    def _seen(self, item: Input) -> tuple[Targets, int, str, list[Published]]:
+        """Return the targets of an input, status and reason where there are none, and what is published of the scene."""
         header = item.header
         if self.config.input == "objects":
             objects, table = item.content[CLOUD_TOPIC], item.content["table"]
             placement = self._frames.placement(header)
             found = read_objects(objects, table, self.config.limits)
-            targets = Targets(header, found, placement=placement)
-            return self._answer_targets(targets, table.status, table.reason)
+            return Targets(header, found, placement=placement), table.status, table.reason, []
         cloud = self._camera.cloud(item.content)
         placement = self._frames.placement(header)
         scene = self._segmentation.segment(cloud)
+        publish = partial(self._segmentation.publish, header, scene, placement)
         targets = Targets(header, scene.targets, placement=placement)
-        answer = self._answer_targets(targets, status_code(scene.status), scene.reason)
-        objects_first = (self._segmentation, partial(self._segmentation.publish, header, scene, placement))
-        return answer._replace(publish=[objects_first, *answer.publish])
-
-    def _answer_targets(self, targets: Targets, status: int, reason: str) -> Answer:
-        """Plan and predict on targets; without any, status and reason say why."""
-        header, planner, touch = targets.header, self._planner, self._touch
-        if not targets.objects:
-            touch.latest = targets._replace(refusal=RefusalError(status, reason))
-            refused = [(step, partial(step.refuse, header, status, reason)) for step in (planner, touch)]
-            return Answer(status, reason, refused)
-        touch.latest = targets
-        grasps, plans = planner.plan(targets.objects, header, reason)
-        if grasps.grasps:
-            answer = touch.answer_plans(targets.objects, plans, grasps)
-            status, reason = answer.summary
-            publish_touch = partial(touch.publish, answer, grasps, targets)
-        else:
-            status, reason = grasps.status, grasps.reason
-            publish_touch = partial(touch.refuse, header, status, reason)
-        publish_grasps = partial(planner.publish, grasps, targets.answered_in)
-        return Answer(status, reason, [(planner, publish_grasps), (touch, publish_touch)])
+        return targets, status_code(scene.status), scene.reason, [(self._segmentation, publish)]
 
 
 @dataclass(frozen=True, kw_only=True)

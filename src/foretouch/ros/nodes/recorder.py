@@ -27,7 +27,7 @@ from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus
-from foretouch.ros.recorder.subscriptions import RecorderInputs, depth_topics, robot_topics, sample_topics
+from foretouch.ros.recorder.subscriptions import RecorderInputs, colour_topic, depth_topics, robot_topics, sample_topics
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.readers import make_reader
@@ -71,6 +71,14 @@ class RecorderConfig(NodeConfig, TactileInput):
         "Topic of depth images to record with the camera infos beside it, such as depth/image_rect_raw, or one that ends with"
         " /compressedDepth; empty for none",
         read_only=True,
+    )
+    color: str = setting(
+        "",
+        "Topic of the colours of these images to record, such as color/image, or one that ends with /compressed; empty for none",
+        read_only=True,
+    )
+    sample_color: bool = setting(
+        True, "Whether samples keep the colours of their points, where object_cloud has them", read_only=True
     )
     unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
     unlabelled_s: float = setting(1.0, "Minimum time between two samples without a touch", bounds=(0.0, 3600.0))
@@ -119,6 +127,8 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         topics = sample_topics(self.config, points=self.config.points)
         if self.config.depth:
             topics += depth_topics(self.config.depth)
+        if self.config.color:
+            topics.append(colour_topic(self.config.color))
         others, missing = robot_topics()
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
@@ -240,6 +250,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             note=note,
             unlabelled_s=config.unlabelled_s if config.unlabelled else None,
             assume_grasps=config.assume_grasps,
+            colours=config.sample_color,
             watch_sensors=True,
         )
         assembler = SampleAssembler(assembling, self.reader)

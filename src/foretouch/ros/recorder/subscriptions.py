@@ -73,6 +73,11 @@ def depth_topics(images: str) -> list[RecordedTopic]:
     return [RecordedTopic(images, kind, _IMAGES_KEPT, role="scene"), infos]
 
 
+def colour_topic(images: str) -> RecordedTopic:
+    """Return a topic of the colours of depth images, raw or `compressed`."""
+    return RecordedTopic(images, CompressedImage if images.endswith("/compressed") else Image, _IMAGES_KEPT)
+
+
 def robot_topics() -> tuple[list[RecordedTopic], list[str]]:
     """List the topics of the robot, which are recorded as far as they are published, and the packages that are missing for some."""
     topics, missing = [], set()

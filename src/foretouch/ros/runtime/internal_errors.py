@@ -2,7 +2,7 @@
 """Keeps an internal error in a callback from ending the process: it is counted, logged and answered.
 
 rclpy passes an error in a callback on to the executor, which ends, and with it all nodes of the process. `ForetouchNode` passes
-timers, services and inputs through `InternalErrors.guarded`; `spin_on` goes on after all other errors.
+timers and services through `InternalErrors.guarded`, and inputs report theirs; `spin_on` goes on after all other errors.
 """
 
 import functools

@@ -161,8 +161,8 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             topic: What to subscribe to.
             callback: Called with each message.
         """
-        guarded = self.internal_errors.guarded(topic.name, callback)
-        subscription = FollowingSubscription(self, topic, guarded, self._input_group, self.statistics.lose)
+        fail, lose = self.internal_errors.report, self.statistics.lose
+        subscription = FollowingSubscription(self, topic, callback, fail, self._input_group, lose)
         self._followed[topic.name] = subscription
         return subscription
 

@@ -93,7 +93,7 @@ class MatchingNode(ProcessingNode[_P]):
                 self._incomplete[stamp] = item
         if complete:
             self._lacking.clear()
-            self._put(item._replace(header=item.content[self._first].header))
+            self._worker.put(item._replace(header=item.content[self._first].header))
         elif len(self._incomplete) > _INCOMPLETE:
             self._give_up(-math.inf)
 

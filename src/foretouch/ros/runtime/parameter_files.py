@@ -6,12 +6,13 @@ may stand in the same file, outside of the namespace of the graph, if their name
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from itertools import pairwise
 from typing import Any, Final
 
 from foretouch.config import EMPTY, flattened, load_yaml, setting_infos
+from foretouch.doors import Door
 from foretouch.errors import ConfigError, nearest
 from foretouch.topics import NAMESPACE
 
@@ -24,13 +25,13 @@ _CHANGED: Final = {  # in 0.4
     "latency_budget_ms": "was removed in 0.4: a prediction takes half a millisecond; see docs/accuracy_vs_time.md",
     "direct": "was removed in 0.4: perception is one node",
 }
-Nodes = Mapping[str, Callable[[], type[Any]]]
+
 """What gives the class of each node, by name."""
 
 _ALIKE: Final = 0.8  # of two names that are taken for one, misspelled
 
 
-def check_parameters(arguments: Sequence[str], nodes: Nodes, own: Sequence[str], namespace: str = NAMESPACE) -> None:
+def check_parameters(arguments: Sequence[str], nodes: Door, own: Sequence[str], namespace: str = NAMESPACE) -> None:
     """Check the parameter files and parameters of a command line.
 
     Args:
@@ -73,7 +74,7 @@ def nodes_of_file(path: str) -> Iterator[tuple[str, dict[str, Any]]]:
         yield from walk(f"/{str(name).strip('/')}", value)
 
 
-def _check(path: str, name: str, given: Mapping[str, Any], nodes: Nodes, namespace: str) -> None:
+def _check(path: str, name: str, given: Mapping[str, Any], nodes: Door, namespace: str) -> None:
     place, _, short = name.rpartition("/")
     place = place or "/"
     if short in nodes and (place in {namespace, NAMESPACE} or "*" in place or not _taken_for(place, ("/", NAMESPACE))):
@@ -100,9 +101,9 @@ def _taken_for(name: str, known: Iterable[str]) -> bool:
     return bool(get_close_matches(name, list(known), 1, _ALIKE))
 
 
-def _require_known(place: str, names: Sequence[str], given: Mapping[str, Any], nodes: Nodes) -> None:
+def _require_known(place: str, names: Sequence[str], given: Mapping[str, Any], nodes: Door) -> None:
     """Refuse a parameter that none of some nodes has, or that has no value."""
-    known = [info.name for name in names for info in setting_infos(nodes[name]().config_class)]
+    known = [info.name for name in names for info in setting_infos(nodes.load(name).config_class)]
     for parameter, value in given.items():
         if parameter not in known and parameter.partition(".")[0] not in _SHARED:
             rule = _CHANGED.get(parameter, f"unknown parameter{nearest(parameter, known)}")

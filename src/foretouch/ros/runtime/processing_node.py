@@ -10,7 +10,7 @@ from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from std_msgs.msg import Header
@@ -60,12 +60,16 @@ class Step:
         """Add to a report of the node."""
 
 
+Published: TypeAlias = tuple[Step, Callable[[], object]]
+"""A step, and what it publishes."""
+
+
 class Answer(NamedTuple):
     """What a node answers to an input, complete before any of it is published."""
 
     status: int  # of `foretouch_msgs/Status`
     reason: str
-    publish: Sequence[tuple[Step, Callable[[], object]]]  # what each step publishes, in this order
+    publish: Sequence[Published]  # in this order
 
 
 class ProcessingNode(ForetouchNode[_P]):
@@ -79,11 +83,8 @@ class ProcessingNode(ForetouchNode[_P]):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        name = self.get_name()
         self._worker: Worker[Input] = Worker(
-            name,
-            self.internal_errors.guarded(name, self._work, lambda *_: self.statistics.drop("failed")),
-            lambda _, reason: self.statistics.drop(reason),
+            self.get_name(), self._work, self._fail, lambda _, reason: self.statistics.drop(reason), idle="inactive"
         )
         self._outcomes: Counter[str] = Counter()
         self._last_reason = ""
@@ -123,14 +124,11 @@ class ProcessingNode(ForetouchNode[_P]):
 
     def _receive(self, message: Any) -> None:
         """Take a message that is an input by itself."""
-        self._put(Input(message.header, message, self.statistics.receive()))
+        self._worker.put(Input(message.header, message, self.statistics.receive()))
 
-    def _put(self, item: Input) -> None:
-        """Hand an input, which is counted as received, to the worker."""
-        if self.state_name == "active":
-            self._worker.put(item)
-        else:
-            self.statistics.drop("inactive")
+    def _fail(self, err: Exception) -> None:
+        self.internal_errors.report(self.get_name(), err)
+        self.statistics.drop("failed")
 
     def _work(self, item: Input) -> None:
         age_s = self.age_s(stamp_ns(item.header.stamp))

@@ -104,6 +104,7 @@ class FollowingSubscription:
         node: The node.
         topic: What to subscribe to.
         receive: Called with each message.
+        fail: Called with the name of the topic and an error of `receive`.
         group: Callback group.
         lose: Called with the number of messages at each loss.
 
@@ -116,6 +117,7 @@ class FollowingSubscription:
         node: Node,
         topic: InputTopic,
         receive: Callable[[Any], None],
+        fail: Callable[[str, Exception], object],
         group: CallbackGroup,
         lose: Callable[[int], None],
     ) -> None:
@@ -124,7 +126,7 @@ class FollowingSubscription:
         self.losses = Losses(lose)
         self.excluded: list[str] = []  # a line for each other type of publishers, that nothing is received from
         self._node = node
-        self._receive = receive
+        self._receive, self._fail = receive, fail
         self._group = group
         durability = _FOLLOW if topic.latched is None else "transient_local" if topic.latched else "volatile"
         self._reliability = self._policy("reliability", ReliabilityPolicy, _FOLLOW)
@@ -204,7 +206,10 @@ class FollowingSubscription:
         self.losses.arrived(info, self._subscription.get_publisher_count())
         if self.topic.raw:
             message = SerializedMessage(self.name, message, info["received_timestamp"], *key)
-        self._receive(message)
+        try:
+            self._receive(message)
+        except Exception as err:  # noqa: BLE001  it would end the process
+            self._fail(self.topic.name, err)
 
 
 def type_name(message: type) -> str:

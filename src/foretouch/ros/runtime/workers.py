@@ -18,40 +18,51 @@ class Worker(Generic[_T]):
 
     Args:
         name: Of the thread.
-        work: Called with each item; must not raise.
-        on_drop: Called with each item that is dropped and the reason, `superseded` or `stopped`; must return at once.
+        work: Called with each item.
+        on_error: Called with each error of `work`, which goes on with the next item.
+        on_drop: Called with each item that is dropped and the reason, `superseded`, `stopped` or `idle`; must return at once.
         depth: Number of items that may wait; a further one replaces the oldest.
+        idle: Why items are dropped that come while it is not started.
+
+    Attributes:
+        put: Lets an item wait for its turn, in place of the oldest one where too many wait.
     """
 
     def __init__(
-        self, name: str, work: Callable[[_T], None], on_drop: Callable[[_T, str], None], depth: int = 1
+        self,
+        name: str,
+        work: Callable[[_T], None],
+        on_error: Callable[[Exception], object],
+        on_drop: Callable[[_T, str], None],
+        depth: int = 1,
+        idle: str = "stopped",
     ) -> None:
         self._name = name
         self._work = work
-        self._on_drop = on_drop
-        self._depth = depth
+        self._on_error = on_error
+        self._idle = idle
         self._queue = BoundedQueue[_T](depth, on_drop=on_drop)
-        self._queue.close("stopped")
+        self._queue.close(then=idle)
+        self.put = self._queue.put
         self._thread: threading.Thread | None = None  # while it is started
 
     def start(self) -> None:
         """Start the thread, unless it runs."""
         if self._thread is None:
-            self._queue = BoundedQueue[_T](self._depth, on_drop=self._on_drop)
-            self._thread = threading.Thread(target=self._run, args=(self._queue,), name=self._name, daemon=True)
+            self._queue.open()
+            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
             self._thread.start()
-
-    def put(self, item: _T) -> None:
-        """Let an item wait for its turn, in place of the oldest one where too many wait."""
-        self._queue.put(item)
 
     def stop(self) -> None:
         """Drop what waits, finish the current item and end the thread."""
-        self._queue.close("stopped")
+        self._queue.close("stopped", self._idle)
         if self._thread is not None:
             self._thread.join()
             self._thread = None
 
-    def _run(self, queue: BoundedQueue[_T]) -> None:
-        while (item := queue.get()) is not None:
-            self._work(item)
+    def _run(self) -> None:
+        while (item := self._queue.get()) is not None:
+            try:
+                self._work(item)
+            except Exception as err:  # noqa: BLE001  it would end the thread
+                self._on_error(err)

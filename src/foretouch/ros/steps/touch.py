@@ -10,6 +10,7 @@ again retries.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from std_msgs.msg import Header
@@ -94,9 +95,8 @@ class TouchStep(Step):
             plans: Of each target.
             grasps: The message of all plans.
         """
-        config = self._node.config
-        pairs = zip(targets, plans, strict=True)
-        parts = [self.predictor.predict(target, plan.grasps, config) for target, plan in pairs]
+        predict = partial(self.predictor.predict, config=self._node.config)
+        parts = list(map(predict, targets, [plan.grasps for plan in plans]))
         answer = TouchAnswer(grasps.header, grasps.grasps, Predictions.join(parts), sensor=self.predictor.sensor)
         return self._end(answer)
 

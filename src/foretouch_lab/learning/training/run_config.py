@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from foretouch.config import EMPTY, Settings, load_yaml, parse_overrides, setting
+from foretouch.doors import Door
 from foretouch.errors import ConfigError, nearest, quoted, shown
 from foretouch.models.network.config import EACH, ModelConfig
 from foretouch.tactile import Ranges
@@ -132,12 +133,16 @@ class RunConfig(Settings):
         return self.model.ranges.ranges if self.has_network else ranges_of(self.contact, channels)
 
 
+RECIPES: Final = Door("foretouch.recipes", "recipe", kind=Mapping)
+"""Settings of runs that installed packages add, by name."""
+
+
 def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunConfig:
     """Return settings of a run from a YAML file and `key=value` words.
 
     Args:
         config: A YAML file, the name of a recipe that comes with the package, such as `contact-v3`, or a method, for
-            its defaults. `model` may be the path of a YAML file with the network's settings, relative to the file that
+            its defaults; or a recipe of another package, an entry point of the group `foretouch.recipes` that names a dictionary. `model` may be the path of a YAML file with the network's settings, relative to the file that
             names it.
         overrides: `key=value`, applied to the file's settings.
 
@@ -152,8 +157,10 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
         mapping = _with_network(load_yaml(file), file.parent)
     elif str(config) in METHODS:
         mapping = {"method": str(config)}
+    elif str(config) in RECIPES:
+        mapping = _with_network(dict(RECIPES.load(str(config))), Path())
     else:
-        known = [*recipes, *METHODS]
+        known = [*recipes, *METHODS, *RECIPES]
         raise ConfigError(f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(config, known)}")
     source = " ".join([str(config), *overrides])  # which of them is at fault, if both are, the field says
     return RunConfig.from_mapping(mapping | _with_network(parse_overrides(overrides), Path()), source)

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Doors: parts that are found by name, and that any installed package can add.
+
+A package adds a part by an entry point (the section `[project.entry-points]` of its `pyproject.toml`) in one of these groups:
+
+- `foretouch.commands`: a `foretouch.cli.commands.CommandEntry`; the name `dataset.NAME` adds an action to `foretouch dataset`.
+- `foretouch.sources`: a `foretouch.camera.source.SceneSource`, for `run --source` and the camera node.
+- `foretouch.nodes`: the class of a node.
+- `foretouch.formats`: a `foretouch.dataset.formats.FormatEntry`.
+- `foretouch.models`: a predictor (`foretouch.models.predictor`), or what makes one.
+- `foretouch.recipes`: settings of `foretouch train`, as a dictionary.
+- `foretouch.functions`: functions behind others: `fit`, `calibrate` and `evaluate` of `import foretouch`, `SampleSet.split`, `predict --prequential` and `hand check --mesh`.
+
+What `foretouch_lab` brings stands in `setup.py`, in the same way. A robot needs none of it.
+"""
+
+import functools
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from importlib.util import find_spec
+from typing import Any, Final
+
+from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError, described, nearest, shown
+
+_OPTIONAL: Final = {
+    "embreex": "embreex",
+    "sklearn": "scikit-learn",
+    "threadpoolctl": "threadpoolctl",
+    "trimesh": "trimesh",
+}
+"""Distributions of the extra `lab`, by the name under which they are imported."""
+_OF_ROS: Final = ("rclpy", "_msgs", "_srvs", "_interfaces")  # ends of names of modules
+
+
+class Door:
+    """Parts of one kind by name.
+
+    Args:
+        group: Of the entry points, such as `foretouch.nodes`.
+        noun: What a part is called in errors.
+        own: Parts of foretouch by name, which no other package replaces. A text is the place of one, `module:attribute`, which
+            is imported when it is asked for.
+        kind: What each part must be an instance of.
+    """
+
+    def __init__(self, group: str, noun: str, own: Mapping[str, Any] | None = None, kind: type = object) -> None:
+        self.group, self.noun, self.kind = group, noun, kind
+        self._own = dict(own or {})
+
+    def __iter__(self) -> Iterator[str]:
+        """Return the names of all parts: those of foretouch first, in their order."""
+        yield from self._own
+        yield from sorted(self._installed().names - self._own.keys())
+
+    def load(self, name: str, user: str = "") -> Any:
+        """Return a part, which is imported if it was not.
+
+        Args:
+            name: Of the part.
+            user: What needs it, for errors; by default the part.
+
+        Raises:
+            ConfigError: If there is no such part, or it cannot be imported.
+            MissingDependencyError: If a library that it needs is not installed.
+        """
+        part, user = self._own.get(name), user or f"{self.noun} {shown(name)}"
+        if part is not None and not isinstance(part, str):
+            return part
+        entry = EntryPoint(name, part, self.group) if part else self._added(name, user)
+        try:
+            with needs_extras(user):
+                part = entry.load()
+        except ForetouchError:
+            raise
+        except (Exception, SystemExit) as err:
+            package = entry.module.partition(".")[0]
+            if isinstance(err, ModuleNotFoundError) and (err.name or "").partition(".")[0] == package and entry.dist:
+                cure = f"pip install --force-reinstall {entry.dist.name}"
+                raise MissingDependencyError(f"{user}: {package} is not installed: {cure}") from err
+            raise ConfigError(f"{user}: {entry.value} cannot be imported: {described(err)}") from err
+        if not isinstance(part, self.kind):
+            raise ConfigError(f"{user}: {entry.value} is a {type(part).__name__} and no {self.kind.__name__}")
+        return part
+
+    def _added(self, name: str, user: str) -> EntryPoint:
+        if name in (added := self._installed()).names:
+            return added[name]
+        known = list(self)
+        listed = (
+            f"of which {', '.join(known)} are known{nearest(name, known)}" if known else "of which none is installed"
+        )
+        raise ConfigError(f"{user}: is no entry point of the group {self.group}, {listed}")
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._own or name in self._installed().names
+
+    def _installed(self) -> EntryPoints:
+        return _entry_points(self.group, tuple(sys.path))
+
+
+@functools.cache
+def _entry_points(group: str, path: tuple[str, ...]) -> EntryPoints:  # noqa: ARG001  where packages are looked for
+    """Return the entry points of a group, which takes about 20 ms."""
+    return entry_points(group=group)
+
+
+FUNCTIONS: Final = Door("foretouch.functions", "function")
+"""What is asked of the laboratory by functions of foretouch: to train, calibrate and score models, and to measure a hand."""
+
+
+@contextmanager
+def needs_extras(user: str) -> Iterator[None]:
+    """Report a library of an extra, or of ROS, that is not installed as a `MissingDependencyError` that names the cure."""
+    try:
+        yield
+    except ModuleNotFoundError as err:
+        cure = _cure((err.name or "").partition(".")[0])
+        if not cure:
+            raise
+        raise MissingDependencyError(f"{user}: {cure}") from err
+
+
+def _cure(module: str) -> str:
+    """Say what is not installed, and how to install it; "" for a module that no extra needs."""
+    if module in _OPTIONAL:
+        return f"{_OPTIONAL[module]} is not installed: pip install 'foretouch[lab]'"
+    if module == "yourdfpy":
+        return "yourdfpy is not installed: pip install 'foretouch[urdf]'"
+    if module.endswith(_OF_ROS) and find_spec("rclpy") is None:
+        return "ROS 2 is not installed: pip install 'foretouch[ros]', or source your installation (foretouch doctor)"
+    if module == "foretouch_msgs":
+        return "foretouch_msgs is not installed: pip install ./foretouch_msgs in a clone of foretouch"
+    return ""

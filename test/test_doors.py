@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What another package adds by entry points works as what foretouch brings; one that is broken keeps nobody from the rest."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from every_case import every_case
+from installed_package import install
+
+from foretouch.camera.source import find_source
+from foretouch.doors import Door
+from foretouch.errors import ConfigError, MissingDependencyError
+from foretouch_lab.learning.training.run_config import load_run_config
+
+COMMAND = """
+from foretouch.cli.commands import CommandEntry
+from foretouch.cli.output import print_json
+
+COUNT = CommandEntry("Count the files of a folder", "their_commands", "foretouch count folder")
+FILES = CommandEntry("Count the files of a dataset", "their_commands", "foretouch dataset files session")
+
+def add_arguments(parser):
+    parser.add_argument("folder", metavar="DIR", help="folder")
+
+def run(arguments):
+    from pathlib import Path
+    print_json({"files": len(list(Path(arguments.folder).iterdir()))})
+    return 0
+"""
+
+
+def foretouch(site: Path, *words: str) -> tuple[int, str, str]:
+    """Exit status, stdout and stderr of a command beside the packages of a folder."""
+    done = subprocess.run(
+        [sys.executable, "-m", "foretouch", *words],
+        env={**os.environ, "PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_a_package_adds_a_command_and_an_action(tmp_path) -> None:
+    site, folder = tmp_path / "site", tmp_path / "folder"
+    folder.mkdir()
+    (folder / "one").touch()
+    parts = {"count": "their_commands:COUNT", "dataset.files": "their_commands:FILES", "bad": "absent_module:NONE"}
+    install(site, {"foretouch.commands": parts}, {"their_commands": COMMAND})
+    assert foretouch(site, "count", str(folder), "--json") == (0, '{"files": 1}\n', "")
+    assert foretouch(site, "dataset", "files", str(folder), "--json") == (0, '{"files": 1}\n', "")
+    status, out, told = foretouch(site, "--help")
+    assert (status, "Count the files of a folder" in out, "Plan two-finger grasps" in out) == (0, True, True)
+    status, _, err = foretouch(site, "bad")
+    assert (status, err) == (1, told)
+    assert err == "foretouch: command bad: absent_module is not installed: pip install --force-reinstall others\n"
+
+
+def test_a_package_adds_a_source_and_a_recipe(tmp_path, monkeypatch) -> None:
+    code = "class Mine:\n    def nodes(self, show, rate_hz): return {'camera': {'source': 'mine'}}\nSOURCE = Mine()\nQUICK = {'method': 'contact', 'contact': {'trees': 7}}\n"
+    parts = {"foretouch.sources": {"mine": "their_parts:SOURCE", ".mine": "their_parts:SOURCE"}}
+    install(tmp_path, parts | {"foretouch.recipes": {"quick": "their_parts:QUICK"}}, {"their_parts": code})
+    monkeypatch.syspath_prepend(tmp_path)
+    assert find_source("mine") is find_source("folder/shown.mine") is not None
+    assert find_source("another") is None
+    assert load_run_config("quick").contact.trees == 7
+    with pytest.raises(ConfigError, match=r"is neither a file nor one of .*quick.*; did you mean quick"):
+        load_run_config("quik")
+
+
+def test_what_cannot_be_loaded_is_one_line_that_names_the_part_and_its_place(tmp_path, monkeypatch) -> None:
+    places = {
+        "absent": ("their_faults:ABSENT", "door absent: their_faults:ABSENT cannot be imported: AttributeError"),
+        "other": ("their_faults:NUMBER", "door other: their_faults:NUMBER is a int and no dict"),
+        "raising": ("their_error", "door raising: their_error cannot be imported: ZeroDivisionError"),
+        "leaving": ("their_exit", "door leaving: their_exit cannot be imported: SystemExit"),
+    }
+    modules = {"their_faults": "NUMBER = 3\n", "their_error": "1 / 0\n", "their_exit": "raise SystemExit(3)\n"}
+    modules["their_forest"] = "import sklearn\n"
+    places["bare"] = ("their_forest", "door bare: scikit-learn is not installed: pip install 'foretouch[lab]'")
+    install(tmp_path, {"foretouch.doors": {name: place for name, (place, _) in places.items()}}, modules)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(sys.modules, "sklearn", None)
+    door = Door("foretouch.doors", "door", {"own": "json:dumps"}, dict)
+
+    def check(name: str, rule: str) -> None:
+        with pytest.raises((ConfigError, MissingDependencyError)) as refused:
+            door.load(name)
+        assert str(refused.value).startswith(rule)
+
+    every_case({name: (name, rule) for name, (_, rule) in places.items()}, check)
+    assert list(door) == ["own", *sorted(places)]
+    with pytest.raises(
+        ConfigError, match=r"door raisin: is no entry point of the group .*, of which own.*mean raising\?"
+    ):
+        door.load("raisin")
+
+
+def test_no_package_replaces_a_part_of_foretouch(tmp_path, monkeypatch) -> None:
+    install(tmp_path, {"foretouch.doors": {"own": "their_own:THEIRS"}}, {"their_own": "THEIRS = 1\n"})
+    monkeypatch.syspath_prepend(tmp_path)
+    ours = {"k": 1}
+    assert Door("foretouch.doors", "door", {"own": ours}).load("own") is ours
