@@ -77,7 +77,7 @@ def clutter_rows(items: Sequence[Item], hand: str, scenes: Iterable[int]) -> Ite
         view = VIEWS[number % len(VIEWS)]
         seen = see_all(stand, zlib.crc32(b"huddle"), number, view)
         facts = {"scene": number, "view": view, "hand": hand, "object": stand[0][0].name}
-        target = wanted(seen, pipeline.segment(seen.cloud).targets)
+        target = wanted(seen, pipeline.segment(seen.cloud).objects)
         plan = None if target is None else pipeline.plan(target)
         if plan is None or not len(plan.grasps):
             yield facts | {"planned": False, "reason": "no object found" if plan is None else "no grasp", "moved": 0}
