@@ -173,6 +173,42 @@ def test_the_reference_lists_every_field_parameter_and_option_with_what_is_said_
     assert reference.cell("a | b\n<c> *d*") == "a \\| b &lt;c> \\*d\\*", "a cell is one line and breaks no table"
 
 
+QUOTED = re.compile(
+    r"(?P<before>\d+(?:\.\d+)?) ?(?P<unit1>mm|cm|m|s|ms|Hz|MB|kB|degrees)? \(`(?P<name1>[a-z_.]+)`[,)]"  # 3 mm (`cell_m`)
+    r"|`(?P<name2>[a-z_.]+)`(?: \(| \| )(?P<after>\d+(?:\.\d+)?) ?(?P<unit2>mm|cm|m|s|ms|Hz|MB|kB)?[ )|]"  # `wait_s` (0.2 s)
+)
+ROW = re.compile(r"^\| `([\w.\[\]]+)` \| `(-?\d+(?:\.\d+)?(?:e-?\d+)?)` \|", re.MULTILINE)
+METRES = {"mm": 1e-3, "cm": 1e-2}
+
+
+def defaults() -> dict[str, set[float]]:
+    """The numbers in the reference of parameters and settings, by the name and by its last parts."""
+    found: dict[str, set[float]] = {}
+    for page in ("parameters", "settings"):
+        for name, value in ROW.findall((DOCS / "reference" / f"{page}.md").read_text(encoding="utf-8")):
+            parts = name.split(".")
+            for start in range(len(parts)):
+                found.setdefault(".".join(parts[start:]), set()).add(float(value))
+    return found
+
+
+def test_numbers_beside_the_name_of_a_setting_are_its_default() -> None:
+    known, checked, wrong = defaults(), set(), []
+    for page in sorted(DOCS.rglob("*.md")):
+        if {"reference", "results"} & set(page.parts) or page.stem == "papers":  # the settings of the papers
+            continue
+        for match in QUOTED.finditer(" ".join(page.read_text(encoding="utf-8").split())):
+            name, value = match["name1"] or match["name2"], float(match["before"] or match["after"])
+            unit = match["unit1"] or match["unit2"] or ""
+            if name in known:
+                checked.add(name)
+                scaled = value * METRES.get(unit, 1.0) if name.endswith("_m") else value
+                if not any(abs(scaled - one) < 1e-9 for one in known[name]):
+                    wrong.append(f"{page.name}: {match[0]}: the default is {sorted(known[name])}")
+    assert not wrong, "\n".join(wrong)
+    assert len(checked) > 15, checked
+
+
 def test_the_page_of_scenes_has_the_example_every_shape_and_every_field(reference) -> None:
     page = (DOCS / "scenes.md").read_text(encoding="utf-8")
     example = (ROOT / "examples" / "data" / "objects.yaml").read_text(encoding="utf-8").partition("\n")[2]

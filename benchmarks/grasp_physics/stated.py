@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is what a grasp states true? Its width, the bound of it, and whether it can carry a mass that is told. See STATED.md."""
+"""Is what a grasp states true? Its width, the bound of it, and whether it can carry a given mass. See STATED.md."""
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence

@@ -87,9 +87,13 @@ def plan(
         ConfigError: If there is no such hand, or the count is out of its bounds.
     """
     pipeline = Pipeline(config)
-    told = {"count": ("grasp.count", count), "hand": ("hand.name", hand)}
-    told |= {"mass_kg": ("object.mass_kg", mass_kg), "friction": ("object.friction", friction)}
-    for name, (key, value) in told.items():
+    given: dict[str, tuple[str, int | float | str | None]] = {
+        "count": ("grasp.count", count),
+        "hand": ("hand.name", hand),
+        "mass_kg": ("object.mass_kg", mass_kg),
+        "friction": ("object.friction", friction),
+    }
+    for name, (key, value) in given.items():
         if value is not None:
             pipeline.config = pipeline.config.updated({key: value}, name)
     return pipeline.plan(target).grasps

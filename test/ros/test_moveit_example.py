@@ -2,13 +2,14 @@
 """`examples/moveit_grasp.py`: its poses, and goals with the fields of moveit_msgs, which cannot be installed from PyPI."""
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, Vector3, Vector3Stamped
 from seen_solids import Camera, box
 from std_msgs.msg import Header
 
@@ -29,6 +30,11 @@ FIELDS = {  # of moveit_msgs 2.6, those with a part here and all that are named 
     "replan_attempts replan_delay",
     "PositionConstraint": "header link_name target_point_offset constraint_region weight",
     "Goal": "request planning_options",
+    "Grasp": "id pre_grasp_posture grasp_posture grasp_pose grasp_quality pre_grasp_approach post_grasp_retreat "
+    "post_place_retreat max_contact_force allowed_touch_objects",
+    "GripperTranslation": "direction desired_distance min_distance",
+    "JointTrajectory": "header joint_names points",
+    "JointTrajectoryPoint": "positions velocities accelerations effort time_from_start",
 }
 
 
@@ -77,3 +83,23 @@ def test_the_hand_comes_along_its_approach_and_lifts_off_the_table(example):
     assert place.constraint_region.primitive_poses[0].position == at.position
     assert turn.orientation == at.orientation
     assert goal.planning_options.plan_only
+
+
+def test_the_page_fills_the_grasp_of_moveit_with_pose_approach_retreat_and_posture():
+    page = (EXAMPLE.parents[1] / "docs" / "planners.md").read_text(encoding="utf-8")
+    names = {
+        name: message_class(name) for name in ("Grasp", "GripperTranslation", "JointTrajectory", "JointTrajectoryPoint")
+    }
+    names |= {"Vector3": Vector3, "Vector3Stamped": Vector3Stamped, "PoseStamped": PoseStamped}
+    exec(re.search(r"```python\n(def as_moveit_grasp.*?)```", page, re.DOTALL)[1], names)
+    camera = Camera(50.0)
+    settings = HandConfig(name="shadow_thumb_middle")
+    (grasp,) = plan_grasps(camera.see(box(0.05, 0.08, 0.1)), camera.table(), GeoGraspConfig(), hand=settings).grasps
+    made = names["as_moveit_grasp"](grasp_to_msg(grasp), Header(frame_id="camera"), 0.8)
+    place = made.grasp_pose.pose.position
+    np.testing.assert_allclose([place.x, place.y, place.z], grasp.way.pose_of_hand[:3, 3], atol=1e-12)
+    there, back = (one.direction.vector for one in (made.pre_grasp_approach, made.post_grasp_retreat))
+    np.testing.assert_allclose([there.x, there.y, there.z], grasp.way.approach, atol=1e-12)
+    np.testing.assert_allclose([back.x, back.y, back.z], -grasp.way.approach, atol=1e-12)
+    assert list(made.grasp_posture.joint_names) == list(grasp.way.joints)
+    np.testing.assert_allclose(made.grasp_posture.points[0].positions, grasp.way.posture)

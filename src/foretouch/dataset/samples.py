@@ -154,7 +154,9 @@ class SampleSet(Summarised, Tabular):
         Raises:
             DatasetError: If there is no sample of a number.
         """
-        given = np.asarray([*numbers] if isinstance(numbers, Iterable) and getattr(numbers, "ndim", 1) else numbers)
+        given = np.asarray(
+            [*numbers] if isinstance(numbers, Iterable) and getattr(numbers, "ndim", None) != 0 else numbers
+        )
         if given.dtype == np.bool_ and given.shape == (self.size,):
             given = np.flatnonzero(given)
         if given.ndim != 1 or (given.size and given.dtype.kind not in "iu"):

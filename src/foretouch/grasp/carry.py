@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a grasp can carry an object whose mass is told, by the friction at both contacts.
+"""Whether a grasp can carry an object of a given mass, by the friction at both contacts.
 
 Both fingertips press along the line, and share the weight as the centre of mass lies between them. The force at a contact must be within the friction
 cone around the normal of the surface there, which is that of the seen points, mirrored where the side is hidden. A side of which nothing is known is upright.
@@ -15,17 +15,13 @@ CANNOT_CARRY: Final = "cannot_carry"
 """Flag of a grasp whose friction does not carry the object's mass."""
 
 _GRAVITY_M_S2: Final = 9.81
-_LIFT_M_S2: Final = 2.4  # acceleration of a lift by 10 cm in half a second
-_PATCH_M: Final = 0.012  # beside, over and below a contact, whose points are the surface there
+_LIFT_M_S2: Final = 1.6  # of a lift by 10 cm in half a second, whose largest acceleration is half as much more
+_PATCH_M: Final = 0.02  # beside, over and below a contact, whose points are the surface there
 _OUTSIDE_M, _INSIDE_M = 0.01, 0.015  # of the contact, along the line
 _FEWEST, _LOWEST_M = 6, 0.004  # points, and their extent in height, that show a slope
-_ROUNDS, _BEHIND_M = (
-    3,
-    0.002,
-)  # of the fit; in each, the weight of a point so far behind the surface falls by a factor of e
-_STEEP: Final = (
-    0.5  # of the friction angle: a steeper side is not believed, since the planner prefers lines that meet none
-)
+_ROUNDS = 3  # of the fit
+_BEHIND_M = 0.002  # the surface; in each round, the weight of a point so far behind it falls by a factor of e
+_STEEP: Final = 0.8  # of the friction angle, at most: the planner prefers lines that meet nothing steeper
 
 
 def strain(ends: Float64, points: Float64, weights: Float64, mass_kg: float, friction: float, force_n: float) -> float:

@@ -35,7 +35,7 @@ from foretouch.grasp.outline import SeenOutline
 from foretouch.grasp.pose import cross
 from foretouch.grasp.unseen import DepthAround
 from foretouch.kernels import Kernel, struct
-from foretouch.types import Bool, Float32, Float64, Grasp, Int64, Plane, WayIn
+from foretouch.types import Bool, Float32, Float64, Floating, Grasp, Int64, Plane, WayIn
 from foretouch.types.grasps import TILTS
 from foretouch.types.scene import Obstacles
 
@@ -50,7 +50,7 @@ _NEAR = 2  # lines and directions on either side, of which the best grasp is a m
 _END_SHARE = 0.03  # of the points of a line that are beyond either end, while lines are compared
 _OUTER_SHARE = 0.006  # the same where the object ends
 # By how much an object may be wider than planned: of its width, along the view, where a side is hidden; and pixels, at its outline.
-_HIDDEN, _PIXELS = 0.35, 2.5
+_HIDDEN, _PIXELS = 0.3, 2.2
 _STEPS_OF_POINTS = 4.0  # in place of pixels, of points without their image
 _UPRIGHT = 0.25  # of the points, which the camera sees nearly upright, so that their distances are those in the image
 _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
@@ -91,7 +91,7 @@ COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
 
 _ANGLE = np.pi * np.arange(_ANGLES) / _ANGLES  # (24,) [rad]
-_OFFSET = _STEP_M * (np.arange(_LINES) - _LINES // 2)  # (17,) [m]
+_OFFSET: Float64 = _STEP_M * (np.arange(_LINES, dtype=np.float64) - _LINES // 2)  # (17,) [m]
 _PLACE_COST = (_OFFSET / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(_ANGLE))[:, None] + _BIAS * _OFFSET
 _TURNS, _STEPS = np.meshgrid(np.arange(-_NEAR, _NEAR + 1), np.arange(-_NEAR, _NEAR + 1), indexing="ij")
 # Means with two neighbours on either side: of the directions, with two of the other end before and after; of the places, whose last ones repeat.
@@ -356,7 +356,8 @@ class CompletedObject:
         along, beside, up = axes[..., 0, :], axes[..., 1, :], axes[..., 2, :]
         middle = self._foot + beside_m[..., None] * beside + height[..., None] * up
         ends = middle[..., None, :] + between[..., None] * along[..., None, :]
-        return np.where((along @ PREFERRED >= 0.0)[..., None, None], ends, ends[..., ::-1, :])
+        first = (along @ PREFERRED >= 0.0)[..., None, None]
+        return np.asarray(np.where(first, ends, ends[..., ::-1, :]), np.float64)
 
     @cached_property
     def _own(self) -> Float64:
@@ -441,7 +442,7 @@ class CompletedObject:
         edges_m = _STEPS_OF_POINTS * self._step_m
         if self._outline is not None:
             edges_m = _PIXELS * self._outline.around.pixel_m(float(g1[2] + g2[2]) / 2.0)
-        return float(np.linalg.norm(g2 - g1)) + _HIDDEN * abs(self._away(g2 - g1)) + edges_m
+        return float(np.linalg.norm(g2 - g1) + _HIDDEN * abs(self._away(g2 - g1)) + edges_m)
 
     def _away(self, along: Float64) -> float:
         """Return how far a vector (3,) goes away from the camera; 0 where that is not known."""
@@ -504,7 +505,7 @@ def _base(lowest_m: float) -> float:
     return lowest_m if lowest_m < 0.0 or lowest_m > _FLOATING_M else 0.0
 
 
-def _quantile(values: Float64, share: float) -> float:
+def _quantile(values: Floating, share: float) -> float:
     """Return a quantile that is one of the values, in a tenth of the time of np.quantile."""
     k = int(share * (len(values) - 1))
     return float(np.partition(values, k)[k])

@@ -114,7 +114,7 @@ class HandConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class CarriedConfig(Settings):
-    """What is told of the object, since no camera sees it."""
+    """What is known of the object besides its image."""
 
     mass_kg: float | None = setting(
         None,

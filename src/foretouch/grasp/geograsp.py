@@ -86,7 +86,7 @@ class PlanOptions(TypedDict, total=False):
     held: HeldGrasp | None
     hold: float  # in units of the score; by default 0
     hand: HandConfig  # what the hand can execute; method "completed" only
-    carried: CarriedConfig  # what is told of the object; method "completed" only
+    carried: CarriedConfig  # what is known of the object besides; method "completed" only
     obstacles: Obstacles | None  # what stands around the object; method "completed" only
     around: DepthAround | None  # the depth image around the object; method "completed" only
 

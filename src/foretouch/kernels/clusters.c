@@ -620,8 +620,8 @@ void coarse_grid(const float *xyz, int64_t h, int64_t w, int64_t stride, double 
     count[0] = found;
 }
 
-/* How much the inverse depth in small windows of a coarse grid (h, w, 3) deviates from a plane, whose image is linear in it: the root of
- * the residual's mean square [1/m], of each window whose points are all in range. residuals: ((h / APART + 1) (w / APART + 1)), of which
+/* How much the inverse depth in small windows of a coarse grid (h, w, 3) deviates from that of a plane, which changes by the same step
+ * from each point to the next: the root of the residual's mean square [1/m], of each window whose points are all in range. residuals: ((h / APART + 1) (w / APART + 1)), of which
  * `count` (1) are written. */
 VECTORISED void window_residuals(const float *grid, int64_t h, int64_t w, double nearest, double farthest, double *residuals, int64_t *count) {
     int64_t found = 0;

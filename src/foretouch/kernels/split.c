@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Objects that touch: clusters are divided into fragments, and those of one object joined again (docs/segmentation.md).
  *
- * - Cells: squares of some pixels, with their mean point. Normals are fitted over five of them, to the inverse depth: in it the image
- *   of a plane is linear, and the noise of a stereo camera is even.
+ * - Cells: squares of some pixels, with their mean point. Normals are fitted over 5x5 of them, to the inverse depth: on a plane it
+ *   changes by the same step from each pixel to the next, and the noise of a stereo camera is the same at all depths.
  * - Edges between two cells: how much they `bend`, positive where concave, by the normals on both sides; STEP where the depth jumps.
  * - Fragments: watersheds of the distance from concave edges and steps, so that necks divide as well.
  * - Input of the trees: sums over each fragment, over the border of two, and over the lines on which one continues in the other

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from every_case import every_case
 
-from foretouch.cloud.geometry.columns import bounds, centred_columns, distances, quantiles
+from foretouch.cloud.geometry.columns import bounds, centred_columns, distances, quantiles, spread
 from foretouch.cloud.geometry.pcl_filters import (
     cell_means,
     count_without_normal,
@@ -70,5 +70,8 @@ def test_an_outlier_is_dropped_and_distances_and_quantiles_are_those_of_numpy(rn
         for shares in ((0.02, 0.98), (0.25, 0.5, 0.75, 0.98), (0.0, 1.0)):
             for values in (points[:, 0].copy(), tied):
                 np.testing.assert_array_equal(quantiles(values, shares), np.quantile(values, shares))
+        for n in (count + 2, 7 * count + 3):
+            places = np.linspace(0.0, n - 1.0, count + 1).astype(np.intp)
+            np.testing.assert_array_equal(spread(n, count + 1), places)
 
     every_case([1, 2, 8, 129, 999, 1000, 3001], check)

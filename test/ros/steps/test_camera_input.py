@@ -170,3 +170,11 @@ def test_each_fault_of_an_image_or_an_info_is_one_named_refusal_and_the_next_ima
     summary = camera.node.statistics.summary()
     assert summary.received == summary.used + sum(summary.dropped.values()) == len(camera.heard)
     assert camera.answered() == {"ok": 2, "bad_cloud": 7, "unknown_frame": 1}
+
+
+def test_clouds_that_are_remapped_but_not_received_are_told(graph, model_card, capfd):
+    options = {"cli_args": ["--ros-args", "-r", "points:=/camera/points"]}
+    node = NODES.load("perception")(parameter_overrides=graph.parameters(model=model_card), **options)
+    graph.serve(node)
+    node.autostart()
+    assert "/camera/points is not received: input is depth; set input:=points" in capfd.readouterr().err

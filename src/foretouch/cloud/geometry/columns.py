@@ -48,7 +48,7 @@ def median(values: Floating) -> float:
 
 
 def spread(n: int, count: int) -> Index:
-    """Return (count,) of n places, evenly spread, the first and the last included: equal to `np.linspace` as integers, in a third of the time."""
+    """Return (count,) of n places, count > 1, evenly spread with the first and the last: equal to `np.linspace` as integers, in a third of the time."""
     places = (np.arange(count) * ((n - 1.0) / (count - 1.0))).astype(np.intp)
     places[-1] = n - 1
     return places

@@ -209,8 +209,8 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
 
 def _threshold(plane: Plane, noise_per_m: float, sample: Float32, config: SegmentationConfig) -> HeightThreshold:
     """Return the height threshold above a table with its noise, from points of the cloud (N, 3)."""
-    on = sample[np.abs(plane.height(sample)) < config.plane.threshold_m]
-    depth_m = median((on if len(on) else sample[finite_rows(sample)])[:, 2])
+    on = sample[:, 2][np.abs(plane.height(sample)) < config.plane.threshold_m]
+    depth_m = median(on if len(on) else sample[finite_rows(sample)][:, 2])
     least_m, least_per_m = config.clusters.min_height_m, NOISE_FACTOR * noise_per_m
     local_per_m = least_per_m / LOCAL_FACTOR  # where no windows are measured, as in a list
     return HeightThreshold(plane, least_m, least_per_m, _HIGHEST_M, depth_m, local_per_m)

@@ -54,7 +54,11 @@ class _View:
     @property
     def noise_m(self) -> float:
         """Height up to which points belong to the plane at its mean depth [m]."""
-        return NOISE_FACTOR * self.fit[1] * float(self.xyz[self.on, 2].mean(dtype=np.float64)) ** 2
+        return (
+            NOISE_FACTOR
+            * self.fit[1]
+            * float(np.add.reduce(self.xyz[:, 2][self.on], dtype=np.float64) / self.count) ** 2
+        )
 
     @cached_property
     def ends(self) -> Float32:

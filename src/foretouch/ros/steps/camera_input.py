@@ -86,9 +86,10 @@ class CameraInput(Step):
             node.subscribe(InputTopic(_POINTS_TOPIC, PointCloud2, latched=None), receive)
             return
         images = node.resolve_topic_name(_IMAGE_TOPIC)
-        infos = node.resolve_topic_name(_INFO_TOPIC)
-        if infos == f"{node.get_namespace().rstrip('/')}/{_INFO_TOPIC}":  # not remapped
-            infos = info_topic(images)
+        infos = node.resolve_topic_name(_INFO_TOPIC) if self._remapped(_INFO_TOPIC) else info_topic(images)
+        if self._remapped(_POINTS_TOPIC) and not self._remapped(_IMAGE_TOPIC):
+            clouds = node.resolve_topic_name(_POINTS_TOPIC)
+            node.get_logger().warning(f"{clouds} is not received: input is depth; set input:=points for clouds")
         self._infos = CameraInfos(images)
         node.subscribe(InputTopic(infos, CameraInfo, latched=None), self._receive_info)
         kind = CompressedImage if images.endswith("/compressedDepth") else Image
@@ -100,6 +101,10 @@ class CameraInput(Step):
         colours = node.resolve_topic_name(_COLOUR_TOPIC)
         kind = CompressedImage if colours.endswith("/compressed") else Image
         node.subscribe(InputTopic(colours, kind, latched=None), self._receive_colours)
+
+    def _remapped(self, topic: str) -> bool:
+        """Return whether a topic has another name than its own in the namespace of the node."""
+        return self._node.resolve_topic_name(topic) != f"{self._node.get_namespace().rstrip('/')}/{topic}"
 
     def cloud(self, message: Any) -> Cloud:
         """Make the cloud of a message; waits for the first camera info for three seconds.
