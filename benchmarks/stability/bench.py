@@ -89,7 +89,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     add_data(parser)
     parser.add_argument("--all", action="store_true", help="also the clouds that did not tune an earlier method")
-    parser.add_argument("--hands", nargs="+", metavar="HAND", help="described hands instead of the methods; print alone")
+    parser.add_argument(
+        "--hands", nargs="+", metavar="HAND", help="described hands instead of the methods; print alone"
+    )
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("results.csv"))
     options = parser.parse_args()
     paths = sorted(Path(options.data or "").glob("vision2tactile/*/*/cloud-object.pcd"))
