@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictors as a user writes them, good and bad: this module is also imported by its name."""
 
+import threading
 import time
 
 import numpy as np
@@ -55,23 +56,54 @@ class Bad(Constant):
     """Is right until it is told how to fail."""
 
     fault = ""
+    end = threading.Event()
 
     def estimate(self, cloud, grasps, table=None):
         counts = super().estimate(cloud, grasps)
-        if self.fault == "shape":
-            return counts[:, :7]
-        if self.fault == "nan":
-            return np.where(np.arange(len(grasps))[:, None] == 0, np.nan, counts)
-        if self.fault == "error":
-            return 1 / 0
-        if self.fault == "text":
-            return "2800"
-        if self.fault == "familiar":
-            return ft.Estimate(counts, familiar=np.ones(len(grasps) + 1, bool))
-        if self.fault == "exit":
-            raise SystemExit(3)
-        if self.fault == "slow":
-            time.sleep(1.5)
+        return getattr(self, f"_{self.fault}", lambda counts: counts)(counts)
+
+    def _shape(self, counts):
+        return counts[:, :7]
+
+    def _rows(self, counts):
+        return counts[:-1]
+
+    def _nan(self, counts):
+        return np.where(np.arange(len(counts))[:, None] == 0, np.nan, counts)
+
+    def _error(self, _):
+        return 1 / 0
+
+    def _exit(self, _):
+        raise SystemExit(3)
+
+    def _text(self, _):
+        return "2800"
+
+    def _texts(self, counts):
+        return [["2800"] * counts.shape[1]] * len(counts)
+
+    def _complex(self, counts):
+        return counts + 1j
+
+    def _object(self, _):
+        return self
+
+    def _familiar(self, counts):
+        return ft.Estimate(counts, familiar=np.ones(len(counts) + 1, bool))
+
+    def _where(self, counts):
+        return ft.Estimate(counts, where=np.zeros(len(counts)))
+
+    def _reasons(self, counts):
+        return ft.Estimate(counts, np.ones(len(counts), bool), reasons={"other_shape": np.zeros(2)})
+
+    def _slow(self, counts):
+        time.sleep(1.5)
+        return counts
+
+    def _minutes(self, counts):
+        self.end.wait(300.0)
         return counts
 
 

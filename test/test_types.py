@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from every_case import every_case
 
-from foretouch.errors import CloudError, GraspError, TactileError
-from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, Grasp, Grasps, Plane
+from foretouch.dataset.samples import SampleSet
+from foretouch.errors import CloudError, DatasetError, GraspError, TactileError
+from foretouch.tactile import BIOTAC, biotac_touch
+from foretouch.types import Cloud, Grasp, Grasps, Plane, Predictions
+
+ONE = Grasps(np.zeros((1, 3)), np.ones((1, 3)))
 
 
 def test_what_breaks_a_rule_is_refused() -> None:
@@ -41,7 +45,17 @@ def test_what_breaks_a_rule_is_refused() -> None:
         ("g1: .* texts", GraspError, lambda: Grasps(np.array([["a"] * 3]), np.ones((1, 3)), eye[None])),
         ("plane: .* complex numbers", CloudError, lambda: Plane.from_coefficients([0, 0, 1j, 1])),
         ("touch: .* complex numbers", TactileError, lambda: biotac_touch(zeros(50) * 1j)),
+        ("g2: -1 is one number; give an array of shape \\(2, 3\\)", GraspError, lambda: Grasps(zeros((2, 3)), -1)),
+        ("rotation: 1.0 is one number", GraspError, lambda: Grasps(zeros((2, 3)), np.ones((2, 3)), 1.0)),
+        ("g1: shape \\(\\) is not \\(K, 3\\)", GraspError, lambda: Grasps(0.0, np.ones((2, 3)))),
+        ("lower: 5.0 is one number", TactileError, lambda: Predictions(zeros((1, 50)), ONE, BIOTAC, lower=5.0)),
+        ("upper: 5 is one number", TactileError, lambda: Predictions(zeros((1, 50)), ONE, BIOTAC, upper=5)),
+        ("path: day is not a path; foretouch.open", DatasetError, lambda: SampleSet("day", "store", 1, int, str)),
+        ("read: list is not a function", DatasetError, lambda: SampleSet(Path("day"), "store", 1, [], str)),
+        ("size: -1 is negative", DatasetError, lambda: SampleSet(Path("day"), "store", -1, int, str)),
     ]
+    assert np.isnan(Predictions(zeros((1, 50)), ONE, BIOTAC, lower=np.nan).lower).all()
+    assert Grasps(zeros((2, 3)), np.ones((2, 3)), score=0.5).score.tolist() == [0.5, 0.5]
     every_case(cases, check)
 
 

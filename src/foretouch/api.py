@@ -213,7 +213,7 @@ def evaluate(
     return scores
 
 
-def _trained(name: str, *args: Any, **options: Any) -> Any:
+def _trained(name: str, /, *args: Any, **options: Any) -> Any:
     """Call a function of training, which a robot need not have."""
     user = f"foretouch.{name}"
     with needs_extras(user):

@@ -23,10 +23,10 @@ def words(tmp_path: Path) -> list[object]:
 def test_a_command_adds_the_row_of_an_own_predictor_and_keeps_the_others(call, words, tmp_path) -> None:
     first = call(*words, "--model", "own_predictors:Memory")
     assert first.status == 0, first.err
-    assert "3 cells (0 reused)" in first.out
+    assert "24 cells (0 reused)" in first.out
     again = call(*words, "--model", "own_predictors:Constant", "--resume")
     assert again.status == 0, again.err
-    assert "4 cells (3 reused)" in again.out
+    assert "32 cells (24 reused)" in again.out
     rows = read_results(tmp_path / "out" / "results.csv")
     names = ["training_mean", "clock", "own_predictors:Memory", "own_predictors:Constant"]
     assert list(dict.fromkeys(row["predictor"] for row in rows)) == names

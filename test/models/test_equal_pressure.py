@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from foretouch.cloud.io.files import read_cloud
-from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups, flag_equal_pressures
+from foretouch.models.equal_pressure import equal_groups, equal_pressures
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Pipeline, PipelineConfig
@@ -41,8 +41,7 @@ def test_one_grasp_refused_grasps_and_models_without_intervals_get_no_flag():
     rows = model.predict(target, grasps)
     refused = Predictions.refused(rows.grasps[:1], rows.channels, "refused", "not finite")
     alone = Predictions.join([refused, rows[:1]])
-    assert flag_equal_pressures(alone, model).flags.tolist() == [(), rows[0].flags]
-    assert EQUAL_PRESSURE in flag_equal_pressures(Predictions.join([refused, rows]), model)[1].flags
+    assert not equal_pressures(alone, model).any()
+    assert equal_pressures(Predictions.join([refused, rows]), model)[:2].tolist() == [False, True]
     plain = TouchModel(model.predictor, model.card)
-    found = flag_equal_pressures(plain.predict(target, grasps), plain)
-    assert not any(EQUAL_PRESSURE in p.flags for p in found)
+    assert not equal_pressures(plain.predict(target, grasps), plain).any()

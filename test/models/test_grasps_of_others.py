@@ -13,7 +13,7 @@ from seen_solids import Camera, box
 import foretouch as ft
 from foretouch.errors import DatasetError, GraspError
 from foretouch.grasp.reach import OFF_OBJECT, in_the_air
-from foretouch.types import Float64, Predictions
+from foretouch.types import Float64, Grasps, Predictions
 from foretouch.types.scene import Object
 
 CAMERA = Camera(60.0)
@@ -73,6 +73,19 @@ def test_a_grasp_in_the_air_is_flagged() -> None:
     assert in_the_air(beside, TARGET.cloud.xyz).all()
     hidden = PLANNED.replace(g1=PLANNED.g1 * 1.03, g2=PLANNED.g2 * 1.03)  # farther along the rays through both contacts
     assert not in_the_air(hidden, TARGET.cloud.xyz).any()
+
+
+def test_a_contact_is_in_the_air_beyond_20_mm_of_all_points_and_of_the_rays_behind_them(rng) -> None:
+    """By the distance from each ray, in double precision; most contacts are decided without it."""
+    points = TARGET.cloud.finite.astype(np.float64)
+    contacts = points[rng.integers(0, len(points), 400)] + rng.normal(0.0, 0.02, (400, 3))
+    gaps = contacts[:, None] - points
+    behind = np.maximum((gaps * points).sum(axis=2) / (points**2).sum(axis=1), 0.0)
+    away = np.linalg.norm(gaps - behind[:, :, None] * points, axis=2).min(axis=1)
+    assert 40 < np.count_nonzero(away > 0.02) < 360
+    order, turned = rng.permutation(400), np.tile(np.eye(3), (400, 1, 1))
+    found = in_the_air(Grasps(contacts, contacts[order], turned), TARGET.cloud.xyz)
+    assert found.tolist() == (np.maximum(away, away[order]) > 0.02).tolist()
 
 
 def test_predictions_without_a_table_say_that_it_is_assumed() -> None:

@@ -2,6 +2,8 @@
 """Predictors of the user: how they are found, and what a bad one gives."""
 
 import json
+import os
+import subprocess
 import sys
 
 import numpy as np
@@ -47,8 +49,17 @@ def test_what_is_no_predictor_is_refused_in_one_line(named, message: str) -> Non
     [
         ("shape", r"estimate: returned counts of shape \(3, 7\); 3 grasps and 50 values need \(3, 50\)"),
         ("error", r"bad: estimate: ZeroDivisionError: division by zero \(own_predictors.py:\d+\)"),
-        ("text", r"returned counts of shape \(\)"),
-        ("familiar", r"returned familiar of shape \(4,\); 3 grasps need \(3,\)"),
+        ("text", r"estimate: returned counts: 2800 is not of numbers: texts"),
+        ("texts", r"estimate: returned counts: .* is not of numbers: texts"),
+        ("complex", r"estimate: returned counts: .* is not of numbers: complex numbers"),
+        ("object", r"estimate: returned counts: .* is not of numbers"),
+        ("rows", r"returned counts of shape \(2, 50\); 3 grasps and 50 values need \(3, 50\)"),
+        ("familiar", r"returned familiar of shape \(4,\) and type bool; 3 grasps need \(3,\) of bool"),
+        ("where", r"returned where of shape \(3,\); 3 grasps need \(3, P\)"),
+        (
+            "reasons",
+            r"returned reasons\['other_shape'\] of shape \(2,\) and type float64; 3 grasps need \(3,\) of bool",
+        ),
         ("exit", r"bad: estimate: SystemExit: 3 \(own_predictors.py:\d+\)"),
     ],
 )
@@ -58,6 +69,21 @@ def test_a_predictor_that_fails_is_named_in_one_line(fault: str, message: str) -
     with pytest.raises(ModelError, match=message) as caught:
         TouchModel(predictor, CARD).predict(CAN, GRASPS)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((Constant(), {}), r"^card: {} holds no name and sha256; load_model\(…\) reads a card, and calibrate"),
+        ((Constant(), None), "^card: None holds no name"),
+        ((None, CARD), "^predictor: None has no estimate"),
+        ((Constant(), CARD, 5), "^calibration: int is not a Calibration"),
+        ((Constant(), CARD | {"sensor": 5}), "^bad: sensor: is not a description of a sensor"),
+    ],
+)
+def test_what_is_no_model_is_refused_in_one_line(arguments, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        TouchModel(*arguments)
 
 
 def test_rows_that_are_not_finite_are_refused_and_the_others_stay() -> None:
@@ -110,3 +136,34 @@ def test_a_card_makes_nothing_import(tmp_path, monkeypatch) -> None:
         load_model(card)
     assert "planted" not in sys.modules
     assert load_model(card, "own_predictors:Constant").name == "mine"
+
+
+@pytest.mark.slow
+def test_an_installed_package_names_its_predictors(tmp_path) -> None:
+    """In a fresh process whose path has the folder that pip installed it to."""
+    project, prefix = tmp_path / "project", tmp_path / "prefix"
+    project.mkdir()
+    (project / "lab_touch.py").write_text(
+        "import numpy as np\n\n\nclass Widths:\n    def estimate(self, cloud, grasps, table=None):\n"
+        "        return np.full((len(grasps), 50), 2500.0)\n"
+    )
+    (project / "pyproject.toml").write_text(
+        '[build-system]\nrequires = ["setuptools"]\nbuild-backend = "setuptools.build_meta"\n\n[project]\nname = "lab-touch"\n'
+        'version = "1.0"\n\n[project.entry-points."foretouch.models"]\nlab-widths = "lab_touch:Widths"\n'
+    )
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--target"]
+    subprocess.run([*pip, str(prefix), str(project)], check=True, timeout=120)
+    card = save_own(tmp_path / "mine.json", Constant(), {})
+    script = (
+        "import sys, foretouch as ft\nfrom foretouch.models.own import find_predictor\n"
+        "print(type(find_predictor('lab-widths')).__name__)\n"
+        "for name in ('lab-width', 'lab-widths'):\n"
+        "    try:\n        ft.load_model(sys.argv[1], name)\n    except ft.ForetouchError as err:\n        print(err)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(prefix)}
+    call = [sys.executable, "-c", script, str(card)]
+    done = subprocess.run(call, env=environment, capture_output=True, text=True, timeout=120, check=True)
+    found, misspelt, other = done.stdout.splitlines()
+    assert found == "Widths"
+    assert misspelt.endswith("of which lab-widths are installed; did you mean lab-widths?")
+    assert "lab_touch:Widths answers other numbers than the predictor of this model, own_predictors:Constant" in other

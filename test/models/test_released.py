@@ -33,6 +33,11 @@ def test_the_default_is_first_all_load_and_cards_hold_what_they_must(can, make_g
         left_out = card["calibration"]["regimes"]["new"]["objects"]
         assert left_out == (3 if model.simulated else len(card["data"]["objects"]))
         assert any(f"cannot exceed {left_out / (left_out + 1):.0%}" in line for line in card["limits"])
+        for (
+            group,
+            half,
+        ) in model.calibration.unread_half_widths.items():  # conformal, by the coverage that the card states
+            np.testing.assert_allclose(half, model.calibration.groups[group].half_width, rtol=0.11)
         if model.simulated:
             assert card["data"]["recipe"] == "foretouch train simulated data=simulated_hand release=true"
             assert card["data"]["source"] == "foretouch simulate config/scenes/simulated_hand.yaml -n 1200"

@@ -41,7 +41,7 @@ def _everything() -> list[Any]:
     unlike = replace(scene, status=LONG, reason=LONG, objects=(replace(target, id=LONG, flags=(LONG,) * 9),) * 300)
     channels = replace(BIOTAC, sensor=LONG, fingers=tuple(f"{LONG}{k}" for k in range(40)))
     return [
-        *(scene, unlike, replace(scene, table=None, cloud=ft.Cloud(np.zeros((0, 3)))), *unlike.objects[:1], target),
+        *(scene, unlike, replace(scene, table=None, cloud=ft.Cloud(np.zeros((0, 3))), labels=np.zeros(0, np.int32)), *unlike.objects[:1], target),
         *(scene.table, scene.obstacles, scene.cloud, ft.Cloud(np.zeros((9, 3)), frame_id=LONG), types.NO_CLOUD),
         *(ft.Cloud.from_depth(depth, camera), camera, grasps, many, grasps[0], grasps[:0], ft.Grasps(grasps.g1, grasps.g2)),
         *(grasps.way[0], touch, touch[0], touch["E"], touch[0].value, touch[0].evidence, refused, refused[0]),

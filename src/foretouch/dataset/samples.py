@@ -17,10 +17,22 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
 from foretouch.types import DISCARDED, AnyArray, Bool, Grasps, Index, Sample
+from foretouch.types.arrays import require_types
 from foretouch.types.summary import Summarised, briefly, counted, names_of
 from foretouch.types.tables import LabelledTable, Tabular, Variable, labels_of
 
 _SHOWN: Final = 64  # readings of a grasp by which dead taxels are found
+
+_TYPES: Final[dict[str, tuple[Any, str]]] = {
+    "path": (Path, "a path; foretouch.open(path) makes a set"),
+    "kind": (str, "a text"),
+    "size": ((int, np.integer), "a whole number"),
+    **dict.fromkeys(("read", "name", "message_counts"), (Callable, "a function")),
+    "identity": (Identity, "an Identity"),
+    **dict.fromkeys(("unfinished", "edits"), (tuple, "a tuple")),
+    "sensor": (Sensor, "a Sensor"),
+}
+"""Types of fields, and what they are in words."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,6 +54,11 @@ class SampleSet(Summarised, Tabular):
     message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict  # reads them by topic, in plain types
     edits: tuple[str, ...] = ()  # descriptions of later changes
     sensor: Sensor = BIOTAC_SP  # that was read
+
+    def __post_init__(self) -> None:
+        require_types(self, _TYPES, DatasetError)
+        if self.size < 0:
+            raise DatasetError(f"size: {self.size} is negative")
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         return counted(self.size, "sample"), {

@@ -68,8 +68,7 @@ def with_rotations(grasps: Grasps, cloud: Cloud, plane: Plane | None, config: Ge
     Raises:
         CloudError: As `object_axis`, if a rotation is missing.
     """
-    missing = are_absent(grasps.rotation)
-    if plane is None or not missing.any():
+    if plane is None or not (missing := are_absent(grasps.rotation)).any():
         return grasps
     missing &= np.array([not fault for fault in contact_faults(grasps.g1, grasps.g2, grasps.rotation)])
     axis, _ = object_axis(cloud, plane, config)

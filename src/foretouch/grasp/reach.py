@@ -9,12 +9,17 @@ from typing import Final
 import numpy as np
 
 from foretouch.config import Settings, setting
+from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float64, Floating, Grasp, Grasps, Index
 from foretouch.types.rotations import require_none
 
 _SAMPLED = 256  # points tried first: one within reach is sufficient
+_FIRST, _WIDE_M = 16, 0.05  # one in sixteen of them is sufficient for most contacts from this distance on
 _TOGETHER = 8192  # pairs of a point and a contact at a time
+_SURELY, _ROUNDED = 0.9, 0.05  # of a distance: a contact that float32 moves by less of it and has nearer is within it
 _OFF_M = 0.02  # from the object and what it hides, where a contact is in the air; planned ones are nearer
+
+_nearest_squares = Kernel("nearest_squares")
 
 OFF_OBJECT: Final = "off_object"
 """Flag of a grasp with a contact in the air: the camera sees that the object is not there."""
@@ -66,11 +71,11 @@ def reach_faults(grasps: Grasps, cloud_xyz: Floating, max_width_m: float, max_di
     faults = [""] * len(grasps)
     for k in np.flatnonzero(~(width <= max_width_m)).tolist():
         faults[k] = f"g1, g2: {width[k]:.4g} m apart, more than max_width_m {max_width_m:g}"
-    points = cloud_xyz.reshape(-1, 3)
-    for name, contacts in (("g1", grasps.g1), ("g2", grasps.g2)):
-        for k in _off(points, contacts, max_distance_m, _near).tolist():
-            away = f"{_nearest_m(points, contacts[k]):.4g} m from the object"
-            faults[k] = faults[k] or f"{name}: {away}, more than max_distance_m {max_distance_m:g}"
+    points, contacts = cloud_xyz.reshape(-1, 3), np.concatenate([grasps.g1, grasps.g2])
+    for place in _off(points, contacts, max_distance_m, _near).tolist():
+        name, k = ("g1", "g2")[place // len(grasps)], place % len(grasps)
+        away = f"{_nearest_m(points, contacts[place]):.4g} m from the object"
+        faults[k] = faults[k] or f"{name}: {away}, more than max_distance_m {max_distance_m:g}"
     return faults
 
 
@@ -81,10 +86,10 @@ def in_the_air(grasps: Grasps, cloud_xyz: Floating) -> Bool:
         grasps: K grasps of finite contacts, in the frame of the camera.
         cloud_xyz: (..., 3) floating [m], the object's points; those that are not finite are ignored.
     """
-    found = np.zeros((2, len(grasps)), np.bool_)
+    found = np.zeros(len(grasps), np.bool_)
     contacts = np.concatenate([grasps.g1, grasps.g2])
-    found.ravel()[_off(cloud_xyz.reshape(-1, 3), contacts, _OFF_M, _near_or_hidden)] = True
-    return np.asarray(found.any(axis=0), np.bool_)
+    found[_off(cloud_xyz.reshape(-1, 3), contacts, _OFF_M, _near_or_hidden) % max(1, len(grasps))] = True
+    return found
 
 
 def _off(
@@ -92,17 +97,27 @@ def _off(
 ) -> Index:
     """Return which of (K, 3) contacts have no point within a distance, by a rule that says which have.
 
-    A sample of the points is tried first, its middle one before the others: it is within reach of most contacts.
+    A sample of the points is tried first: it is within reach of most contacts.
     """
     few = points[:: max(1, len(points) // _SAMPLED)]
-    middle, step = len(few) // 2, max(16, _TOGETHER // max(1, len(contacts)))
-    parts = [few[middle : middle + 1], *(few[k : k + step] for k in range(0, len(few), step))]
-    left = np.arange(len(contacts))
-    for part in parts:
-        left = left[~near(part, contacts[left], distance_m)]
+    first = few if distance_m < _WIDE_M else few[_FIRST // 2 :: _FIRST]
+    left = np.flatnonzero(~_surely_near(first, contacts, distance_m))
+    step = max(16, _TOGETHER // max(1, len(left)))
+    for k in range(0, len(few), step):
         if not left.size:
             return left
+        left = left[~near(few[k : k + step], contacts[left], distance_m)]
     return np.array([k for k in left.tolist() if not near(points, contacts[k : k + 1], distance_m)[0]], np.intp)
+
+
+def _surely_near(points: Floating, contacts: Float64, distance_m: float) -> Bool:
+    """Return (K,) which contacts are near one of (N, 3) points, whatever the rounding of float32; most of a hand's are."""
+    squares = np.empty(len(contacts), np.float32)
+    with np.errstate(over="ignore"):
+        columns, targets = np.ascontiguousarray(points.T, np.float32), contacts.astype(np.float32)
+        moved = np.abs(contacts - targets).max(axis=1)
+    _nearest_squares(targets, len(targets), columns, len(points), squares)
+    return np.asarray((squares < (_SURELY * distance_m) ** 2) & (moved < _ROUNDED * distance_m), np.bool_)
 
 
 def _near(points: Floating, contacts: Float64, distance_m: float) -> Bool:

@@ -2,7 +2,7 @@
 """Which grasps of a request have predicted pressures that differ by less than their intervals.
 
 The error of a prediction has a part that all grasps on an object share and a part of each grasp. For the released models, the
-interval of the difference of two grasps is .5 to 1.03 times as wide as the interval of one prediction before any touch, so the
+interval of the difference of two grasps is .4 to 1.03 times as wide as the interval of one prediction before any touch, so the
 rule here is the rule of a difference, on the safe side, and can be checked from the bounds of the answer alone.
 """
 
@@ -15,7 +15,7 @@ from foretouch.models.calibration import Calibration
 from foretouch.tactile import Ranges
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
-from foretouch.types import Float64, Index, Predictions, Touch
+from foretouch.types import Bool, Float64, Index, Predictions, Touch
 
 EQUAL_PRESSURE: Final = "equal_pressure"
 """Flag of grasps whose predicted pressure differs from the lowest of the request by less than the half width of its interval."""
@@ -35,15 +35,20 @@ def equal_groups(costs: ArrayLike, half: ArrayLike) -> Index:
     A group holds all costs that exceed its lowest by less than the half width of that one; NaN and infinity are alone.
     """
     costs, half = np.asarray(costs, np.float64), np.asarray(half, np.float64)
-    groups = np.empty(len(costs), np.intp)
-    lowest = -1
-    number = -1
-    with np.errstate(invalid="ignore"):
-        for k in np.argsort(costs, kind="stable"):
-            if lowest < 0 or not costs[k] - costs[lowest] < half[lowest]:
-                lowest, number = k, number + 1
-            groups[k] = number
+    groups, left, number = np.empty(len(costs), np.intp), np.arange(len(costs)), 0
+    while len(left):
+        own = _lowest_group(costs[left], half[left])
+        groups[left[own]], left, number = number, left[~own], number + 1
     return groups
+
+
+def _lowest_group(costs: Float64, half: Float64) -> Bool:
+    """Return (K,) which of (K,) costs, at least one, are in the group of the lowest; see `equal_groups`."""
+    lowest = np.argsort(costs, kind="stable")[0]  # NaN is the last
+    with np.errstate(invalid="ignore"):
+        group = np.asarray(costs - costs[lowest] < half[lowest], np.bool_)
+    group[lowest] = True
+    return group
 
 
 def scale_of(model: Scaled) -> tuple[Touch | None, Ranges]:
@@ -54,19 +59,19 @@ def scale_of(model: Scaled) -> tuple[Touch | None, Ranges]:
 
 def predicted_pressures(predictions: Predictions, model: Scaled) -> Float64:
     """Return (3, K, F) how hard each finger presses in predictions of a model, and its bounds (see `TaxelView.pressures`); NaN for none."""
-    rows = np.stack([predictions.value, predictions.lower, predictions.upper])
-    return TaxelView(model.sensor).pressures(rows, *scale_of(model))
+    view, scale = TaxelView(model.sensor), scale_of(model)
+    ends = (predictions.value, predictions.lower, predictions.upper)
+    return np.stack([view.pressures(rows, *scale) for rows in ends])
 
 
-def flag_equal_pressures(predictions: Predictions, model: Scaled) -> Predictions:
-    """Return the predictions for grasps on one object, with `EQUAL_PRESSURE` on each that cannot be ranked before another as the gentlest.
+def equal_pressures(predictions: Predictions, model: Scaled) -> Bool:
+    """Return (K,) which grasps on one object cannot be ranked before another as the gentlest: those of the flag `EQUAL_PRESSURE`.
 
-    The pressure is the mean of both fingers; models without intervals get no flag.
+    The pressure is the mean of both fingers; of models without intervals, none.
     """
+    none = np.zeros(len(predictions), np.bool_)
     if len(predictions) < 2:
-        return predictions
+        return none
     value, lower, upper = predicted_pressures(predictions, model).mean(axis=-1)
-    equal = equal_groups(value, np.abs(upper - lower) / 2.0) == 0
-    if np.count_nonzero(equal) < 2:
-        return predictions
-    return predictions.flagged(EQUAL_PRESSURE, equal)
+    equal = _lowest_group(value, np.abs(upper - lower) / 2.0)
+    return equal if np.count_nonzero(equal) > 1 else none

@@ -16,7 +16,7 @@ A predictor may have more, all of it optional:
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final, Protocol, Self
 
 import numpy as np
@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from foretouch.errors import ModelError
 from foretouch.types import Bool, Cloud, Float64, Grasps, Plane
+from foretouch.types.arrays import numbers
 from foretouch.types.summary import Summarised
 
 UNFAMILIAR: Final[Mapping[str, str]] = {
@@ -68,21 +69,33 @@ class Estimate(Summarised):
             ModelError: If an array has another shape.
         """
         estimate = answer if isinstance(answer, cls) else cls(answer)
-        counts = np.asarray(estimate.counts, np.float64)
+        rule = f"{rows} grasps and {values} values need ({rows}, {values})"
+        try:
+            counts = numbers(estimate.counts, "estimate: returned counts", ModelError)
+        except ModelError as err:
+            raise ModelError(f"{err}; {rule}") from err
         if counts.shape != (rows, values):
-            rule = f"{rows} grasps and {values} values need ({rows}, {values})"
             raise ModelError(f"estimate: returned counts of shape {counts.shape}; {rule}")
-        if estimate.familiar is None:
-            return replace(estimate, counts=counts)
-        familiar = np.asarray(estimate.familiar, np.bool_)
-        if familiar.shape != (rows,):
-            raise ModelError(f"estimate: returned familiar of shape {familiar.shape}; {rows} grasps need ({rows},)")
-        return replace(estimate, counts=counts, familiar=familiar)
+        familiar = None if estimate.familiar is None else _mask(estimate.familiar, "familiar", rows)
+        reasons = {flag: _mask(mask, f"reasons[{flag!r}]", rows) for flag, mask in estimate.reasons.items()}
+        where = None if estimate.where is None else numbers(estimate.where, "estimate: returned where", ModelError)
+        if where is not None and (where.ndim != 2 or len(where) != rows):
+            raise ModelError(f"estimate: returned where of shape {where.shape}; {rows} grasps need ({rows}, P)")
+        return cls(counts, familiar, where, reasons)
 
     @property
     def known(self) -> Bool:
         """(K,) bool: which grasps get the intervals of known objects; none where that is not known."""
         return np.zeros(len(self.counts), np.bool_) if self.familiar is None else self.familiar
+
+
+def _mask(mask: Any, name: str, rows: int) -> Bool:
+    """Return (rows,) bool of an answer; a `ModelError` names what is none."""
+    array = np.asarray(mask)
+    if array.shape != (rows,) or array.dtype != np.bool_:
+        rule = f"{rows} grasps need ({rows},) of bool"
+        raise ModelError(f"estimate: returned {name} of shape {array.shape} and type {array.dtype}; {rule}")
+    return array
 
 
 class Predictor(Protocol):

@@ -38,7 +38,7 @@ from foretouch.grasp.pose import closing_faults, joined_faults
 from foretouch.grasp.reach import DEFAULT_REACH, OFF_OBJECT, ReachConfig, in_the_air, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.card import OWN, card_sensor
-from foretouch.models.equal_pressure import flag_equal_pressures
+from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_pressures
 from foretouch.models.files import under
 from foretouch.models.history_file import pack_history, to_bytes, to_text, unpack_history
 from foretouch.models.predictor import Estimate, Predictor
@@ -49,7 +49,7 @@ from foretouch.tactile.description import require_same
 from foretouch.types import AnyArray, Cloud, Evidence, Float64, Grasp, Grasps, Plane, Predictions, Reference, Touch
 from foretouch.types.arrays import numbers, objects
 from foretouch.types.grasps import contact_faults
-from foretouch.types.rotations import are_absent, fault_texts, require_none, rotation_faults
+from foretouch.types.rotations import are_absent, fault_texts, require_none
 from foretouch.types.scene import Object
 from foretouch.types.summary import Summarised, briefly, counted, names_of
 
@@ -90,6 +90,13 @@ class TouchModel(Summarised):
     """
 
     def __init__(self, predictor: Predictor, card: Mapping[str, Any], calibration: Calibration | None = None) -> None:
+        if not callable(getattr(predictor, "estimate", None)):
+            raise ModelError(f"predictor: {shown(predictor)} has no estimate(cloud, grasps, table=None)")
+        if not isinstance(card, Mapping) or not all(isinstance(card.get(name), str) for name in ("name", "sha256")):
+            rule = "holds no name and sha256; load_model(…) reads a card, and calibrate(predictor, samples) makes one"
+            raise ModelError(f"card: {shown(card)} {rule}")
+        if not isinstance(calibration, Calibration | None):
+            raise ModelError(f"calibration: {type(calibration).__name__} is not a Calibration")
         self.name: str = card["name"]
         self.sha256: str = card["sha256"]
         self.card = dict(card)
@@ -234,17 +241,19 @@ class TouchModel(Summarised):
         estimate = self.estimate(cloud, graspable, table)  # a useless cloud is named first
         read = history if tare is None else self.after_tare(tare)
         predictions = self._adapted(graspable, estimate, read)
-        predictions = predictions.flagged(OFF_OBJECT, in_the_air(graspable, cloud.xyz))
-        if table is None or table.assumed:
-            predictions = predictions.flagged(NO_TABLE)
+        off = np.zeros(len(columns), np.bool_)
+        off[usable] = in_the_air(graspable, cloud.xyz)
         if not usable.all():
             refused = Predictions.refused(columns, self.sensor.channels, "bad_grasp", faults)
             predictions = refused.put(usable, predictions)
-        for flag in flags:
-            predictions = predictions.flagged(flag)
-        for flag in dict.fromkeys(flag for own in columns.flags for flag in own):
-            predictions = predictions.flagged(flag, np.array([flag in own for own in columns.flags]))
-        return flag_equal_pressures(predictions, self)
+        of_grasps = dict.fromkeys(flag for own in columns.flags for flag in own)
+        return predictions.marked(
+            (OFF_OBJECT, off),
+            (NO_TABLE, usable if table is None or table.assumed else False),
+            *((flag, True) for flag in flags),
+            *((flag, np.array([flag in own for own in columns.flags])) for flag in of_grasps),
+            (EQUAL_PRESSURE, equal_pressures(predictions, self)),
+        )
 
     def _adapted(self, grasps: Grasps, estimate: Estimate, read: "Readings | None") -> Predictions:
         """Return the predictions of an estimate of executable grasps, adapted to what the hand has read."""
@@ -273,13 +282,17 @@ class TouchModel(Summarised):
         """
         grasps = Grasps.of(grasps)
         try:
-            return Estimate.of(self.predictor.estimate(cloud, grasps, table), len(grasps), self.sensor.channels.size)
+            answer = self.predictor.estimate(cloud, grasps, table)
         except ForetouchError:
             raise
         except (Exception, SystemExit) as err:
             if self.card.get("kind") != OWN:  # an error of foretouch is reported as one
                 raise
             raise ModelError(f"{self.name}: estimate: {described(err)}{_line_of(err)}") from err
+        try:
+            return Estimate.of(answer, len(grasps), self.sensor.channels.size)
+        except ModelError as err:
+            raise ModelError(f"{self.name}: {err}") from err
 
     def estimate_executed(
         self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS, table: Plane | None = None
@@ -383,20 +396,16 @@ class TouchModel(Summarised):
         finite = np.asarray(np.isfinite(counts).all(axis=1), np.bool_)
         outside = self.ranges.outside(counts).any(axis=1) & finite
         unknown = finite & (False if estimate.familiar is None else ~estimate.familiar)
-        marks = {"out_of_range": outside, "unfamiliar": unknown}
-        marks |= {flag: rows & unknown for flag, rows in estimate.reasons.items()}
-        marked = {flag: rows.tolist() for flag, rows in marks.items() if rows.any()}
-        flags = [tuple(flag for flag, rows in marked.items() if rows[k]) for k in range(len(grasps))]
+        reasons = ((flag, rows & unknown) for flag, rows in estimate.reasons.items())
         predictions = Predictions(
             counts,
             grasps,
             self.sensor.channels,
             counts - half,
             counts + half,
-            flags=objects(flags),
             reference=objects([reference] * len(grasps)),
             evidence=objects([evidence] * len(grasps)),
-        )
+        ).marked(("out_of_range", outside), ("unfamiliar", unknown), *reasons)
         if finite.all():
             return predictions
         refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", _NOT_FINITE)
@@ -770,7 +779,6 @@ def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: fl
     return joined_faults(
         contact_faults(grasps.g1, grasps.g2, grasps.rotation),
         fault_texts(~are_absent(grasps.rotation), lambda _: _NO_ROTATION),
-        rotation_faults(grasps.rotation),
         reach_faults(grasps, cloud.xyz, max_width_m, max_distance_m),
         closing_faults(grasps),
     )

@@ -52,7 +52,8 @@ def numbers(value: Any, name: str, fault: type[ForetouchError]) -> Float64:
         why = str(err) if str(err) in _NO_NUMBERS.values() else ""
         if "inhomogeneous" in str(err):
             why = "rows of different lengths"
-    raise fault(f"{name}: {shown(value)} is not of numbers{why and ': '}{why}")
+    given = f"an array of {value.dtype}" if isinstance(value, np.ndarray) and value.ndim else shown(value)
+    raise fault(f"{name}: {given} is not of numbers{why and ': '}{why}")
 
 
 def scalar(value: Any, name: str, fault: type[ForetouchError]) -> float:
@@ -63,6 +64,25 @@ def scalar(value: Any, name: str, fault: type[ForetouchError]) -> float:
     if array.ndim:
         raise fault(f"{name}: shape {array.shape} is not a single number")
     return float(array)
+
+
+def require_types(record: Any, types: Mapping[str, tuple[Any, str]], fault: type[ForetouchError]) -> None:
+    """Check fields of a record.
+
+    Args:
+        record: Holds them as attributes.
+        types: By name of the field, its type or types, and what that is in words.
+        fault: Type of the error.
+
+    Raises:
+        ForetouchError: Of the type `fault`; names the first field of another type.
+    """
+    values = vars(record)
+    for name, (kinds, what) in types.items():
+        value = values[name]
+        if not isinstance(value, kinds):
+            given = shown(value) if isinstance(value, str | int | float | None) else type(value).__name__
+            raise fault(f"{name}: {given} is not {what}")
 
 
 def unmasked(value: Any) -> AnyArray:
@@ -164,7 +184,7 @@ class Columns:
                 fits = bool(shape) and _fits(shape[1:], row)
             count = shape[0] if count < 0 and shape else count
             if not fits or shape[0] != count:
-                wanted = ", ".join(str(size or "D") for size in (max(count, 0), *row))
+                wanted = ", ".join([str(count) if count >= 0 else "K", *(str(size or "D") for size in row)])
                 raise self.fault(f"{name}: shape {shape} is not ({wanted}{'' if row else ','})")
             object.__setattr__(self, name, value)
 
@@ -179,7 +199,14 @@ class Columns:
             array = value
         else:
             array = numbers(value, name, self.fault).astype(dtype, copy=False)
-        return array if array.ndim or count < 0 else np.full((count, *(size or 0 for size in row)), array)
+        if array.ndim or count < 0:
+            return array
+        if (
+            row and value != type(self).__dataclass_fields__[name].default
+        ):  # one number is no direction, and no pressure
+            wanted = ", ".join(str(size or "D") for size in (count, *row))
+            raise self.fault(f"{name}: {shown(value)} is one number; give an array of shape ({wanted})")
+        return np.full((count, *(size or 0 for size in row)), array)
 
     def __len__(self) -> int:
         return len(getattr(self, _columns(type(self))[0].name))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tactile readings, and predictions of them, one or K of them as columns."""
 
+import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Final, Literal, NamedTuple, Self, overload
@@ -151,7 +152,7 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
         object.__setattr__(self, "value", numbers(self.value, "value", TactileError))
         require_type(self.channels, Channels, "channels", _NO_CHANNELS, TactileError)
         for name in ("lower", "upper"):
-            if numbers(getattr(self, name), name, TactileError).ndim == 0:
+            if (end := numbers(getattr(self, name), name, TactileError)).ndim == 0 and np.isnan(end):
                 object.__setattr__(self, name, np.full(np.shape(self.value), np.nan))
         super().__post_init__()
         size = self.channels.size
@@ -214,11 +215,21 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
             flag: Its name.
             rows: (K,) bool, the rows that get it; True for all.
         """
-        if not np.any(rows):
-            return self
-        marked = np.broadcast_to(rows, len(self)).tolist()
-        flags = [(*own, flag) if mark else own for own, mark in zip(self.flags, marked, strict=True)]
-        return self.replace(flags=objects(flags))
+        return self.marked((flag, rows))
+
+    def marked(self, *marks: tuple[str, Bool | bool]) -> "Predictions":
+        """Return the same predictions with further flags: pairs of a name, and of the rows as of `flagged`; in this order."""
+        flags = self.flags.tolist()
+        for flag, rows in marks:
+            if rows is False or not (rows is True or rows.any()):
+                continue
+            if rows is True or rows.all():
+                flags = [(*own, flag) for own in flags]
+            else:
+                flags = [(*own, flag) if mark else own for own, mark in zip(flags, rows.tolist(), strict=True)]
+        result = copy.copy(self)  # whose other columns are checked
+        object.__setattr__(result, "flags", objects(flags))
+        return result
 
     @overload
     def __getitem__(self, rows: int) -> "Prediction": ...

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from foretouch.errors import DatasetError, none_of, shown
-from foretouch.types.arrays import AnyArray, Float32, Int64, UInt8, plain
+from foretouch.types.arrays import AnyArray, Float32, Int64, UInt8, plain, require_types
 from foretouch.types.cloud import NO_CLOUD, Cloud, Plane
 from foretouch.types.grasps import NO_GRASP, Grasp
 from foretouch.types.predictions import Touch
@@ -99,10 +99,8 @@ class Sample(Summarised):
     def __post_init__(self) -> None:
         if isinstance(self.table, Plane) and self.table.assumed:
             object.__setattr__(self, "table", None)
+        require_types(self, _TYPES, DatasetError)
         values = vars(self)
-        for name, (kinds, what) in _TYPES.items():
-            if not isinstance(values[name], kinds):
-                raise DatasetError(f"{name}: {shown(values[name])} is not {what}")
         for name in _STAMPS:
             if not -_LATEST_NS < (values[name] or 0) < _LATEST_NS:
                 raise DatasetError(f"{name}: {shown(values[name])} is no time [ns]")

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """An object on the table, and the scene of a cloud: its table, its objects, and what stands in the way."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import NoneType
 from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError, shown
-from foretouch.types.arrays import Float32, Float64, Int32, Int64
+from foretouch.types.arrays import Float32, Float64, Int32, Int64, numbers, require_types
 from foretouch.types.cloud import Cloud, Plane, require_cloud
 from foretouch.types.summary import Summarised, briefly, counted, names_of, tallied
 
@@ -27,6 +28,11 @@ class Obstacles(Summarised):
 
     xyz: Float32  # (M, 3) float32 [m], camera frame
     object_ids: Int32  # (M,) int32, the object of each
+
+    def __post_init__(self) -> None:
+        require_types(self, dict.fromkeys(("xyz", "object_ids"), (np.ndarray, "an array")), CloudError)
+        if self.xyz.ndim != 2 or self.xyz.shape[1] != 3 or self.object_ids.shape != self.xyz.shape[:1]:
+            raise CloudError(f"obstacles: shapes {self.xyz.shape} and {self.object_ids.shape} are not (M, 3) and (M,)")
 
     @classmethod
     def of(cls, objects: Sequence[tuple[int, Float32]]) -> Self | None:
@@ -59,6 +65,35 @@ class Obstacles(Summarised):
         return [k for k in np.unique(self.object_ids).tolist() if near[self.object_ids == k].mean() > 0.5]
 
 
+_CLOUD: Final = (Cloud, "a Cloud of points [m]")
+_PLANE: Final = "a Plane, such as Plane.from_coefficients((a, b, c, d))"
+_OF_SEVERAL: Final = ((Obstacles, NoneType), "Obstacles")
+_NUMBER: Final = (int, float, np.integer, np.floating, NoneType)
+
+_OBJECT_TYPES: Final[dict[str, tuple[Any, str]]] = {
+    "id": (str, "a text, such as '1'"),
+    "cloud": _CLOUD,
+    "plane": (Plane, _PLANE),
+    "pixels": (np.ndarray, "an array of flat indices"),
+    "image_shape": ((tuple, NoneType), "(H, W)"),
+    "flags": (tuple, "a tuple of texts"),
+    "obstacles": _OF_SEVERAL,
+    "image": ((Cloud, NoneType), "a Cloud of points [m]"),
+    "confidence": (_NUMBER, "a number"),
+    "background": (str, "a text"),
+}
+_SCENE_TYPES: Final[dict[str, tuple[Any, str]]] = {
+    **dict.fromkeys(("status", "reason"), (str, "a text")),
+    "cloud": _CLOUD,
+    "table": ((Plane, NoneType), _PLANE),
+    **dict.fromkeys(("objects", "background", "targets"), (tuple, "a tuple of objects")),
+    **dict.fromkeys(("outline", "labels"), (np.ndarray, "an array")),
+    **dict.fromkeys(("counts", "ms"), (Mapping, "numbers by name")),
+    "obstacles": _OF_SEVERAL,
+}
+"""Types of fields, and what they are in words."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Object(Summarised):
     """One object, and the table that it stands on."""
@@ -80,12 +115,14 @@ class Object(Summarised):
     background: str = ""  # why it is no object, one of `cloud.segmentation.background.REASONS`; "" for an object
 
     def __post_init__(self) -> None:
-        if not isinstance(self.id, str):
-            raise CloudError(f"id: {shown(self.id)} is not a text, such as '1'")
-        if not isinstance(self.plane, Plane):
-            raise CloudError(
-                f"plane: {type(self.plane).__name__} is not a Plane, such as Plane.from_coefficients((a, b, c, d))"
-            )
+        require_types(self, _OBJECT_TYPES, CloudError)
+        for name, shape in (("centroid", (3,)), ("bounds", (2, 3))):
+            array = numbers(getattr(self, name), name, CloudError)
+            if array.shape != shape:
+                raise CloudError(f"{name}: shape {array.shape} is not {shape}; Object.of(id, cloud, plane) computes it")
+            object.__setattr__(self, name, array)
+        if wrong := [flag for flag in self.flags if not isinstance(flag, str)]:
+            raise CloudError(f"flags: {shown(wrong[0])} is not a text")
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         size = " x ".join(f"{side:.2f}" for side in (self.bounds[1] - self.bounds[0]).tolist())
@@ -151,6 +188,14 @@ class Scene(Summarised):
     ms: dict[str, float]  # time of each stage of the segmentation and `total` [ms]
     targets: tuple[Object, ...] = ()  # the objects to grasp, best first, where they were selected
     obstacles: Obstacles | None = None  # the points of all objects, if there are several and targets were selected
+
+    def __post_init__(self) -> None:
+        require_types(self, _SCENE_TYPES, CloudError)
+        for name in ("objects", "background", "targets"):
+            if wrong := [one for one in getattr(self, name) if not isinstance(one, Object)]:
+                raise CloudError(f"{name}: holds {type(wrong[0]).__name__}, not Object")
+        if self.labels.shape != self.cloud.xyz.shape[:-1]:
+            raise CloudError(f"labels: shape {self.labels.shape} is not {self.cloud.xyz.shape[:-1]}, of the cloud")
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         return f"{self.status}, {counted(len(self.objects), 'object')}", {

@@ -20,8 +20,9 @@ def add_arguments(parser: CommandParser) -> None:
         "--model",
         action="append",
         metavar="NAME",
-        help="a recipe of `train`, module:attribute of your own predictor, p1_pointnet or p2_pointnet, or a model folder, which is used "
-        "as it is; repeated for several (default: contact-v3); with --resume, added to those in DIR. Baselines are always scored",
+        help="a recipe of `train`, also with settings such as 'p2 model.outputs=each'; module:attribute of your own predictor; or a "
+        "model folder, which is used as it is; repeated for several (default: contact-v3); with --resume, added to those in DIR. "
+        "Baselines are always scored",
     )
     add_sweep_arguments(parser, "full", "full (default): all splits; smoke: the baselines, a quick trial")
 

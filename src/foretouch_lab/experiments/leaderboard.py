@@ -14,8 +14,8 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,15 +28,15 @@ from foretouch.models.own import find_predictor
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import Rows
-from foretouch.types.channels import LARGEST, Channel, Channels
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch_lab.experiments.framework.manifest import cell_seconds
 from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch_lab.experiments.shared.predictors import PREDICTORS
-from foretouch_lab.experiments.shared.scores import interval_columns
+from foretouch_lab.experiments.shared.scores import skill_table
 from foretouch_lab.experiments.shared.tables import SIGNS, grouped, pivot, select, short, unique, with_notes
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.folds import SPLITS
+from foretouch_lab.learning.evaluation.baselines import predict_part
 from foretouch_lab.learning.evaluation.metrics import (
     MEAN,
     BootstrapConfig,
@@ -45,11 +45,10 @@ from foretouch_lab.learning.evaluation.metrics import (
     compare,
     skills,
 )
-from foretouch_lab.learning.training.compare import FIRST_TOUCHES, Evaluation
-from foretouch_lab.learning.training.run_config import load_run_config
-from foretouch_lab.learning.training.scoring import score_models
+from foretouch_lab.learning.training.compare import FIRST_TOUCHES, Evaluation, predicted_once, score_splits
+from foretouch_lab.learning.training.run_config import RunConfig, recipe_of
+from foretouch_lab.learning.training.scoring import HeldOut, held_out_samples, hold_out
 
-_OF_OBJECTS: Final = ("object", FIRST_TOUCHES)  # which are made of the same predictions
 _BASELINES: Final = (
     *("training_mean", "object_mean", "object_time_trees", "clock", "geometry_trees", "geometry_trees_pose_free"),
 )
@@ -61,16 +60,14 @@ class LeaderboardSettings(Settings):
 
     models: tuple[str, ...] = setting(
         ("contact-v3",),
-        "Models beside the baselines: recipes of foretouch train, networks of the papers (p1_pointnet, p2_pointnet), "
-        "module:attribute of your own predictor, or model folders, which are used as they are",
+        "Models beside the baselines: recipes of foretouch train, with settings such as 'p2 model.outputs=each'; "
+        "module:attribute of your own predictor; or model folders, which are used as they are",
     )
     baselines: tuple[str, ...] = setting(_BASELINES, "Baselines", choices=_BASELINES)
     splits: tuple[str, ...] = setting((*SPLITS, FIRST_TOUCHES), "What is left out", choices=(*SPLITS, FIRST_TOUCHES))
     seeds: tuple[int, ...] = setting((0,), "Seeds of random parts and of predictors; errors are pooled", minimum=0)
     training_fraction: float = setting(
-        1.0,
-        "Fraction of trees and epochs of baselines and networks; below 1 only for quick trials",
-        bounds=(0.001, 1.0),
+        1.0, "Fraction of the trees of baselines; below 1 only for quick trials", bounds=(0.001, 1.0)
     )
     bootstrap: BootstrapConfig = BootstrapConfig()
 
@@ -91,122 +88,118 @@ class Leaderboard(Experiment):
         """Words that run it."""
         return "foretouch benchmark touch"
 
-    def finish(self, _settings: Any, data: Any, rows: list[Row], out: Path, _progress: Any, /) -> list[Row]:
-        """Add the hash of the data, and the processor time of the cells of each row [s]: to fit and to predict all folds."""
-        seconds, known = cell_seconds(out), {"data": data.sha256[:16]}
-        return [{**row, **known, "cpu_s": sum(seconds.get(key, 0.0) for key in row["cells"].split())} for row in rows]
+    def finish(self, settings: Any, data: Any, rows: list[Row], out: Path, _progress: Any, /) -> list[Row]:
+        """Score the predictions of all folds, and add the hash of the data and the processor time of each row [s]."""
+        cell_times, seconds = cell_seconds(out), dict[tuple[str, str], float]()
+        for cell in _cells(settings, data):
+            own = cell.values["predictor"], cell.values["split"]
+            seconds[own] = seconds.get(own, 0.0) + cell_times.get(cell.key, 0.0)
+        return [{**row, "data": data.sha256[:16]} for row in _table(settings, _scored(settings, data, rows), seconds)]
 
 
-def _cells(settings: LeaderboardSettings, _data: Dataset) -> list[Cell]:
-    """Return a cell for each seed, predictor and split; objects left out and first touches are of one."""
-    parts: list[tuple[str, ...]] = [(split,) for split in settings.splits if split not in _OF_OBJECTS]
-    if joined := tuple(split for split in settings.splits if split in _OF_OBJECTS):
-        parts.append(joined)
+def _cells(settings: LeaderboardSettings, data: Dataset) -> list[Cell]:
+    """Return a cell for each seed, predictor, split and fold; objects left out and first touches are of one."""
+    parts = dict.fromkeys(predicted_once(split) for split in settings.splits)
     return [
         Cell(
-            re.sub(r"[^\w.+-]", "_", f"{name}+{'-'.join(splits)}+seed{seed}"),
-            {"predictor": name, "splits": list(splits), "seed": seed},
+            re.sub(r"[^\w.+-]", "_", f"{name}+{split}{number}+seed{seed}"),
+            {"predictor": name, "split": split, "fold": fold.name, "seed": seed},
         )
         for seed in settings.seeds
         for name in (*settings.baselines, *settings.models)
-        for splits in parts
+        for split in parts
+        for number, fold in enumerate(held_out_samples(data, seed).folds(split))
     ]
 
 
 def _run(cell: Cell, settings: LeaderboardSettings, data: Dataset) -> list[Row]:
-    """Return the errors of each object, and the scores of each modality, of one predictor on some splits."""
-    name, splits = cell.values["predictor"], cell.values["splits"]
-    models, baselines, origin = {}, {}, {"hash": "", "note": "baseline"}
-    if name in PREDICTORS:
-        baselines = {name: PREDICTORS[name](settings.training_fraction)}
-        origin["note"] = "baseline" if name in _BASELINES else "trained again for each fold and modality"
-    else:
-        models = {name: _model(name)}
-        origin["hash"] = _hash_of(models[name])
-    result = score_models(data, models, splits, seed=cell.values["seed"], baselines=baselines)
-    origin["note"] = result.notes[0].partition(": ")[2] if result.notes else origin["note"]
-    sensor = {"sensor": result.channels.sensor, "fingers": list(result.channels.fingers)}
-    sizes = {channel.name: channel.size for channel in result.channels.channels}
-    return [
-        {"split": split, **origin, "key": cell.key, **sensor, "sizes": sizes, "samples": result.samples[split], **part}
-        for split in splits
-        for part in _parts(result, split, name)
-    ]
+    """Return the predictions of the test side of one fold, and how the predictor was held out."""
+    name, split, seed = (cell.values[key] for key in ("predictor", "split", "seed"))
+    (fold,) = [one for one in held_out_samples(data, seed).folds(split) if one.name == cell.values["fold"]]
+    held_out, sha256 = _held_out(name, data, seed, settings.training_fraction)
+    origin = {"note": held_out.note, "hash": sha256, "trained_on": held_out.trained_on.tolist()}
+    return [{"key": cell.key, **origin, "predicted": held_out.predict(fold).tolist()}]
 
 
-def _parts(result: Evaluation, split: str, name: str) -> list[Row]:
-    errors = result.errors[split][name]
-    own = [
-        {"object": object_, "count": int(errors.counts[k]), "squared": errors.squared[k].tolist()}
-        | {"reference": errors.reference[k].tolist()}
-        for k, object_ in enumerate(errors.objects)
-    ]
-    keys = ("coverage90", "interval_score")
-    scores = [
-        {"modality": modality, **{key: row[key] for key in keys}}
-        for modality, row in result.scores[split][name].items()
-    ]
-    return [*own, *scores]
+@lru_cache(maxsize=1)
+def _held_out(name: str, data: Dataset, seed: int, training_fraction: float) -> tuple[HeldOut, str]:
+    """Return what predicts folds, and the hash of its settings or weights; kept for the next fold of the same predictor."""
+    if name in _BASELINES:
+        samples = held_out_samples(data, seed).samples
+        predict = partial(predict_part, PREDICTORS[name](training_fraction), samples, seed)
+        return HeldOut(predict, "baseline"), ""
+    model = _model(name, seed)
+    return hold_out(model, data), _hash_of(model)
 
 
-def _model(name: str) -> Any:
+def _model(name: str, seed: int) -> Any:
     """Return what a name stands for: a recipe, the model of a folder or card, or a predictor (`find_predictor`)."""
-    if ":" in name:
+    if re.match(r"[^\s=]+:", name):
         return find_predictor(name)
     try:
-        load_run_config(name)
+        return recipe_of(name).with_seed(seed)
     except ConfigError as err:
         if Path(name).exists():
             return load_model(name)
         if name in INSTALLED:
             return find_predictor(name)
-        rule = f"nor one of {', '.join(PREDICTORS)}, nor a model folder or module:attribute"
-        raise ConfigError(f"models: {err}, {rule}") from err
-    return name
+        raise ConfigError(f"models: {err}; nor is it a model folder or module:attribute") from err
 
 
 def _hash_of(model: Any) -> str:
     """Return 16 digits of a hash: of the settings of a recipe, or of the weights of a model that is used as it is."""
-    if isinstance(model, str):
-        settings = json.dumps(load_run_config(model).to_mapping(), sort_keys=True)
+    if isinstance(model, RunConfig):
+        settings = json.dumps(model.to_mapping(), sort_keys=True)
         return hashlib.sha256(settings.encode()).hexdigest()[:16]
     return model.sha256[:16] if isinstance(model, TouchModel) else ""
 
 
-def _tabulate(settings: LeaderboardSettings, rows: Sequence[Row]) -> list[Row]:
-    """Return a row for each split, predictor and modality; a predictor that lacks a seed, because a cell failed, is left out."""
+_Scored = dict[str, dict[str, list[Evaluation]]]  # by split and predictor, one of each seed
+
+
+def _scored(settings: LeaderboardSettings, data: Dataset, rows: Sequence[Row]) -> _Scored:
+    """Return the scores of the predictors of which all folds of all seeds are known; one that lacks a cell is left out."""
+    result: _Scored = {split: {} for split in settings.splits}
+    for (split, name), own in grouped(rows, "split", "predictor"):
+        tried = [_evaluated(name, seed, part, data, settings) for seed, part in grouped(own, "seed")]
+        of_seeds = [one for one in tried if one is not None]
+        for asked in settings.splits:
+            if predicted_once(asked) == split and len(of_seeds) == len(settings.seeds):
+                result[asked][name] = of_seeds
+    return result
+
+
+def _evaluated(
+    name: str, seed: int, rows: Sequence[Row], data: Dataset, settings: LeaderboardSettings
+) -> Evaluation | None:
+    """Return the scores of one predictor on the splits that are made of the same predictions; None if a fold is missing."""
+    first, stored = rows[0], {row["fold"]: np.array(row["predicted"]) for row in rows}
+    asked = held_out_samples(data, seed, first["trained_on"])
+    if {fold.name for fold in asked.folds(first["split"])} != set(stored):
+        return None
+    splits = [split for split in settings.splits if predicted_once(split) == first["split"]]
+    result = score_splits({name: lambda fold: stored[fold.name]}, asked, splits, baselines={})
+    return replace(result, notes=(first["note"], first["hash"]))
+
+
+def _table(settings: LeaderboardSettings, scored: _Scored, seconds: Mapping[tuple[str, str], float]) -> list[Row]:
+    """Return a row for each split, predictor and modality, with the processor time of its folds [s]."""
     result: list[Row] = []
-    for split in settings.splits:
-        own = dict(grouped(select(rows, split=split), "predictor"))
-        whole = {
-            name: own[name]
-            for name in (*settings.baselines, *settings.models)
-            if name in own and len(unique(own[name], "seed")) == len(settings.seeds)
-        }
-        errors = {name: _errors(of_one) for name, of_one in whole.items()}
-        estimates = {name: skills(one, settings.bootstrap) for name, one in errors.items()}
-        known = [name for name in settings.baselines if name in errors]
-        best = max(known, key=lambda name: estimates[name][MEAN].value) if known else None
-        for name, of_one in whole.items():
+    for split, by_name in scored.items():
+        order = [name for name in (*settings.baselines, *settings.models) if name in by_name]
+        errors = {name: ObjectErrors.pooled([one.errors[split][name] for one in by_name[name]]) for name in order}
+        known = {name: skills(errors[name], settings.bootstrap)[MEAN].value for name in order if name in _BASELINES}
+        best = max(known, key=lambda name: known[name]) if known else None
+        for name in order:
             versus = None if best in {None, name} else _versus(errors[name], errors[str(best)], settings.bootstrap)
-            first = of_one[0]
-            head = {"split": split, "predictor": name, "note": first["note"], "hash": first["hash"]}
-            head |= {
-                "seeds": " ".join(map(str, settings.seeds)),
-                "samples": first["samples"],
-                "objects": len(errors[name].objects),
-            }
-            head |= {"best_baseline": best, "cells": " ".join(unique(of_one, "key"))}
-            rmse = errors[name].rmse()
-            for modality, estimate in estimates[name].items():
-                scored = [row for row in of_one if row.get("modality") == modality]
-                difference = None if versus is None else versus[modality]
-                result.append({
-                    **head, "modality": modality, "rmse": rmse.get(modality), **interval_columns("skill", estimate),
-                    **interval_columns("vs_best", difference),
-                    "vs_best_verdict": None if difference is None else difference.verdict,
-                    **{key: _mean(scored, key) for key in ("coverage90", "interval_score")},
-                })  # fmt: skip
+            note, sha256 = by_name[name][0].notes
+            head: Row = {"split": split, "predictor": name, "note": note, "hash": sha256}
+            head |= {"seeds": " ".join(map(str, settings.seeds)), "samples": by_name[name][0].samples[split]}
+            head |= {"objects": len(errors[name].objects), "best_baseline": best}
+            for row in skill_table(head, errors[name], settings.bootstrap, {"best": versus}):
+                parts = [one.scores[split][name].get(row["modality"], {}) for one in by_name[name]]
+                row |= {key: _mean(parts, key) for key in ("coverage90", "interval_score")}
+                result.append({**row, "cpu_s": seconds.get((name, predicted_once(split)))})
     return result
 
 
@@ -216,15 +209,8 @@ def _versus(errors: ObjectErrors, other: ObjectErrors, bootstrap: BootstrapConfi
 
 
 def _mean(rows: Sequence[Row], key: str) -> float | None:
-    return sum(row[key] for row in rows) / len(rows) if rows else None
-
-
-def _errors(rows: Sequence[Row]) -> ObjectErrors:
-    """Return the errors of one predictor, pooled over its seeds."""
-    first = rows[0]
-    kinds = (Channel(name, size, "", -LARGEST, LARGEST, 0, False, 0.0, 0.0) for name, size in first["sizes"].items())
-    channels = Channels(first["sensor"], "", tuple(first["fingers"]), tuple(kinds))
-    return ObjectErrors.of_rows([row for row in rows if "object" in row], channels)
+    """Return the mean of a column; None for the mean of the modalities, whose units differ."""
+    return sum(row[key] for row in rows) / len(rows) if all(key in row for row in rows) else None
 
 
 _NOTES: Final = (
@@ -309,9 +295,9 @@ EXPERIMENT = Leaderboard(
     },
     cells=_cells,
     run=_run,
-    tabulate=_tabulate,
+    tabulate=lambda _settings, rows: list(rows),  # the folds, which `finish` scores
     summarise=_summarise,
     figure=_draw,
-    resumable_settings=("models", "baselines", "bootstrap"),
+    resumable_settings=("models", "baselines", "splits", "bootstrap"),
     data_folder="vision2tactile",
 )

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The leaderboard: its rows follow from the held-out predictions, and each row can be added by itself."""
 
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from experiment_samples import cell_rows, make_collection
@@ -9,14 +13,16 @@ from own_predictors import Memory
 from foretouch import fit
 from foretouch.errors import ConfigError
 from foretouch.tactile import MODALITIES
+from foretouch.types import Cloud
 from foretouch_lab.experiments import find_experiment
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.leaderboard import LeaderboardSettings
 from foretouch_lab.experiments.shared.tables import select
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.evaluation.baselines import object_mean, training_mean
 from foretouch_lab.learning.evaluation.metrics import MEAN, mean_skill
-from foretouch_lab.learning.training.scoring import score_models
+from foretouch_lab.learning.training.scoring import hold_out, score_models
 
 QUICK = {"baselines": ["training_mean", "object_mean", "clock"], "bootstrap.draws": 200}
 MINE = "own_predictors:Memory"
@@ -28,10 +34,14 @@ def data() -> Dataset:
 
 
 @pytest.fixture(scope="module")
-def table(data: Dataset) -> list[Row]:
-    splits = ["random", "object", "touches"]
-    rows, settings = cell_rows("leaderboard", data, **QUICK, models=[MINE], splits=splits)
-    return find_experiment("leaderboard").tabulate(settings, rows)
+def table(data: Dataset, tmp_path_factory) -> list[Row]:
+    return scored(data, tmp_path_factory.mktemp("sweep"), models=[MINE], splits=["random", "object", "touches"])
+
+
+def scored(data: Dataset, folder: Path, **changes: Any) -> list[Row]:
+    """Rows of the table, from cells that ran in this process."""
+    rows, settings = cell_rows("leaderboard", data, **QUICK, **changes)
+    return find_experiment("leaderboard").finish(settings, data, rows, folder, lambda *_: None)
 
 
 def test_an_own_predictor_is_refitted_in_each_fold_and_stands_beside_every_baseline(
@@ -92,12 +102,11 @@ def test_the_first_touches_of_an_object_are_few_and_help(table: list[Row], data:
 
 def test_tables_and_picture_show_all_rows(table: list[Row], tmp_path) -> None:
     experiment = find_experiment("leaderboard")
-    timed = [{**row, "cpu_s": 2.0} for row in table]
-    tables = experiment.tables(timed)
+    tables = experiment.tables(table)
     assert [one.title.partition(":")[0] for one in tables] == ["random", "object", "touches"]
     assert all(len(one.rows) == 4 for one in tables)
     assert any(note.startswith(f"{MINE}: ") for note in tables[-1].notes)
-    (picture,) = experiment.draw(timed, tmp_path)
+    (picture,) = experiment.draw(table, tmp_path)
     assert picture.stat().st_size > 10_000
 
 
@@ -105,12 +114,54 @@ def test_a_model_folder_is_used_as_it_is_and_its_training_grasps_are_left_out(da
     seen = [sample for sample in data.samples if sample.object != "wood"]
     folder = tmp_path / "mine"
     fit(seen, "contact-v3", calibrate=False, contact={"trees": 3}).save(folder)
-    rows, settings = cell_rows("leaderboard", data, **QUICK, models=[str(folder)], splits=["random"])
-    table = find_experiment("leaderboard").tabulate(settings, rows)
+    table = scored(data, tmp_path, models=[str(folder)], splits=["random"])
     (total,) = select(table, predictor=str(folder), modality=MEAN)
     assert (total["samples"], total["objects"], len(total["hash"])) == (12, 1, 16)
     assert "given as it is; 84 samples that it was trained on are left out" in total["note"]
     assert total["vs_best"] is None  # it was not scored on the same grasps
+
+
+def test_a_row_is_made_of_folds_and_one_that_lacks_a_fold_is_left_out(data: Dataset, tmp_path) -> None:
+    rows, settings = cell_rows("leaderboard", data, **QUICK, models=[], splits=["random", "object"], seeds=[0, 3])
+    experiment = find_experiment("leaderboard")
+    assert len({row["key"] for row in rows}) == len(rows) == 2 * 3 * (5 + 8)
+    lost = next(row["key"] for row in rows if (row["predictor"], row["split"]) == ("clock", "object"))
+    kept = [row for row in rows if row["key"] != lost]
+    table = experiment.finish(settings, data, kept, tmp_path, lambda *_: None)
+    names = {split: {row["predictor"] for row in select(table, split=split)} for split in ("random", "object")}
+    assert names["random"] - names["object"] == {"clock"}
+    every = experiment.finish(settings, data, rows, tmp_path, lambda *_: None)
+    assert select(every, split="random") == select(table, split="random")
+    assert {row["seeds"] for row in every} == {"0 3"}
+
+
+def test_a_recipe_is_a_row_with_its_settings(data: Dataset, tmp_path) -> None:
+    plain, changed = "contact-v3 contact.trees=3", "contact-v3 contact.trees=4"
+    table = scored(data, tmp_path, models=[plain, changed], splits=["random"])
+    by_name = {name: select(table, predictor=name, modality=MEAN)[0] for name in (plain, changed)}
+    assert by_name[plain]["hash"] != by_name[changed]["hash"]
+    direct = score_models(data, {"m": plain}, ["random"], baselines={})
+    assert mean_skill(direct.scores["random"]["m"]) == pytest.approx(by_name[plain]["skill"])
+    assert direct.notes == (f"m: recipe {plain}, fitted again without the samples of each fold",)
+
+
+@pytest.mark.slow
+def test_the_sr_gan_learns_nothing_from_the_clouds_of_the_fold_that_it_is_tested_on() -> None:
+    data = make_collection(3, 8)
+    widths = "model.trunk_widths=[8,16] model.tnet_widths=[8,8,16,8,8] model.head_widths=[16]"
+    small = f"model.channels=xyz model.n_points=16 {widths} srgan.epochs=1"
+    words = f"p2_srgan model.outputs=[PDC_TH,PDC_MF,E_TH,E_MF] {small}"
+    fold = make_folds(data.samples, "object", 0)[0]
+    other = [replace(one, cloud=Cloud(one.cloud.xyz * np.float32([1.0, 2.0, 1.0]))) for one in data.samples]
+    moved = [other[k] if k in fold.test else one for k, one in enumerate(data.samples)]
+    asked = Fold(fold.train, np.arange(len(data.samples)))
+    plain, unseen, seen = (
+        hold_out(words, replace(data, samples=tuple(samples))).predict(asked)[fold.train]
+        for samples in (data.samples, moved, other)
+    )
+    assert np.isfinite(plain).all()
+    assert np.array_equal(plain, unseen)  # whatever the clouds of the test side are
+    assert not np.array_equal(plain, seen)
 
 
 def test_what_cannot_be_a_row_is_refused(data: Dataset) -> None:
@@ -118,5 +169,5 @@ def test_what_cannot_be_a_row_is_refused(data: Dataset) -> None:
         LeaderboardSettings(models=("clock",))
     with pytest.raises(ConfigError, match="models: contact-v3 is given twice"):
         LeaderboardSettings(models=("contact-v3", "contact-v3"))
-    with pytest.raises(ConfigError, match=r"models: contact-v4: .*did you mean contact-v3\?, nor one of training_mean"):
+    with pytest.raises(ConfigError, match=r"models: contact-v4: .*did you mean contact-v3\?; nor is it a model folder"):
         cell_rows("leaderboard", data, baselines=[], models=["contact-v4"], splits=["random"])

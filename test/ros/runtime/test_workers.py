@@ -59,3 +59,31 @@ def test_stopping_drops_what_waits_and_what_comes_later_and_a_worker_can_be_star
     one.begin("c")
     one.worker.stop()
     assert one.done == ["a", "c"]
+
+
+def test_work_that_takes_too_long_is_left_behind_and_knows_it():
+    one = Recorded()
+    behind = []
+    work = one.work
+    one.worker = Worker(
+        "w",
+        lambda item: (work(item), behind.append((item, one.worker.left_behind))),
+        one.errors.append,
+        lambda *_: None,
+    )
+    one.worker.start()
+    one.begin("slow")
+    assert one.worker.busy_s > 0.0
+    assert not one.worker.stop(0.01)
+    one.worker.start()
+    one.begin("next")
+    one.go.release()
+    one.go.release()
+    while len(behind) < 2:
+        time.sleep(0.001)
+    assert sorted(behind) == [("next", False), ("slow", True)]
+    one.go.release()
+    one.begin("after")  # which the thread that was left behind does not take
+    assert one.worker.stop(5.0)
+    assert behind[-1] == ("after", False)
+    assert (one.worker.busy_s, one.errors) == (0.0, [])

@@ -24,6 +24,8 @@ from foretouch.types import Cloud, Float32, stamp_ns
 from foretouch_msgs.msg import Status
 
 _P = TypeVar("_P", bound="ProcessingConfig")
+_PATIENCE_S = 5.0  # with one answer, before a warning, and when the node is stopped
+_SLOW = "the model, or what plans and segments, is slow; newer clouds replace those that wait"
 
 
 class Input(NamedTuple):
@@ -112,13 +114,16 @@ class ProcessingNode(ForetouchNode[_P]):
         self._worker.start()
 
     def _stop(self) -> None:
-        """Finish the current input and drop what waits."""
-        self._worker.stop()
+        """Finish the current input and drop what waits; an answer that takes longer than a few seconds is dropped, too."""
+        if not self._worker.stop(_PATIENCE_S):
+            self.get_logger().warning(f"stopped at a cloud that has taken longer than {_PATIENCE_S:g} s: {_SLOW}")
 
     def diagnose(self, report: Report) -> None:
         """Report numbers of answers by status, why the last was empty, and what the steps add."""
         report.values |= {f"answered.{name}": str(count) for name, count in sorted(self._outcomes.items())}
         report.values["last_reason"] = self._last_reason
+        if (busy_s := self._worker.busy_s) > _PATIENCE_S:
+            report.warnings.append(f"no answer for {busy_s:.0f} s: {_SLOW}")
         for step in self.steps:
             step.diagnose(report)
 
@@ -132,14 +137,20 @@ class ProcessingNode(ForetouchNode[_P]):
 
     def _work(self, item: Input) -> None:
         age_s = self.age_s(stamp_ns(item.header.stamp))
+        answer: Answer | None = None
         try:
             answer = self._answer(item)
             status, reason = answer.status, answer.reason
         except RefusalError as refusal:
             status, reason = refusal.status, refusal.reason
-            self._refuse(item.header, status, reason)
         except Exception as err:  # noqa: BLE001  a bug must not end the node, and must be reported
-            status, reason = Status.FAILED, self.internal_errors.report(self.get_name(), err)
+            status, reason = Status.FAILED, str(err)
+            if not self._worker.left_behind:
+                reason = self.internal_errors.report(self.get_name(), err)
+        if self._worker.left_behind:  # of a node that was stopped meanwhile
+            self.statistics.drop("stopped")
+            return
+        if answer is None:
             self._refuse(item.header, status, reason)
         else:
             for step, publish in answer.publish:

@@ -5,6 +5,7 @@ So a `SingleThreadedExecutor` of rclpy serves a whole graph.
 """
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -45,6 +46,7 @@ class Worker(Generic[_T]):
         self._queue.close(then=idle)
         self.put = self._queue.put
         self._thread: threading.Thread | None = None  # while it is started
+        self._since: float | None = None  # when the current item was begun, `time.monotonic` [s]
 
     def start(self) -> None:
         """Start the thread, unless it runs."""
@@ -53,16 +55,39 @@ class Worker(Generic[_T]):
             self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
             self._thread.start()
 
-    def stop(self) -> None:
-        """Drop what waits, finish the current item and end the thread."""
+    def stop(self, patience_s: float | None = None) -> bool:
+        """Drop what waits, finish the current item and end the thread.
+
+        Args:
+            patience_s: Longest wait for the current item [s]; then the thread is left to itself, and `left_behind` in it.
+
+        Returns:
+            Whether the current item was finished.
+        """
         self._queue.close("stopped", self._idle)
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
+        if self._thread is None:
+            return True
+        self._thread.join(patience_s)
+        finished, self._thread, self._since = not self._thread.is_alive(), None, None
+        return finished
+
+    @property
+    def left_behind(self) -> bool:
+        """Whether the calling thread is one that `stop` did not wait for."""
+        return threading.current_thread() is not self._thread
+
+    @property
+    def busy_s(self) -> float:
+        """How long the current item has been at work [s]; 0 without one."""
+        since = self._since
+        return 0.0 if since is None else time.monotonic() - since
 
     def _run(self) -> None:
-        while (item := self._queue.get()) is not None:
+        while not self.left_behind and (item := self._queue.get()) is not None:
+            self._since = time.monotonic()
             try:
                 self._work(item)
             except Exception as err:  # noqa: BLE001  it would end the thread
                 self._on_error(err)
+            if not self.left_behind:
+                self._since = None

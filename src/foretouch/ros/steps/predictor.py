@@ -10,6 +10,7 @@ from foretouch.cloud.geometry.limits import check_object, check_table
 from foretouch.errors import CloudError, ForetouchError, FrameError, GraspError, LimitError, ModelError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.models import TouchModel, load_model
+from foretouch.models.card import OWN
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import grasp_to_msg
@@ -48,10 +49,11 @@ class Predictor:
                 self.model, self.flags = load_model(fallback), ("fallback_model",)
             except ForetouchError as err:
                 self.fault = f"{self.fault}; fallback_model: {err}"
-        if self.model is not None:  # predict once, so that the first real cloud does not wait for torch
+        # Predict once, so that the first real cloud does not wait for torch; a predictor of the user has answered on loading.
+        if self.model is not None and self.model.card.get("kind") != OWN:
             pipeline = Pipeline()
             for target in pipeline.segment(warm_up_cloud()).targets:
-                with suppress(ForetouchError):  # of a predictor of the user; each answer gives the reason
+                with suppress(ForetouchError):  # each answer gives the reason
                     self.model.predict(target, pipeline.plan(target).grasps)
 
     @property

@@ -3,7 +3,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from foretouch.tactile import BIOTAC, MODALITIES
+from foretouch.tactile import BIOTAC
 from foretouch.types import Sample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, grouped
@@ -70,10 +70,15 @@ def _predictor_rows(
         common = [seed for seed in seeds if seed in complete.get(other, {})]
         if other != head["predictor"] and common:
             versus[other] = compare(_errors(seeds, common), _errors(complete[other], common), config)
-    head = {**head, "seeds": len(seeds)}
-    result = _rows({**head, "object": ALL_OBJECTS}, errors, config, {name: versus.get(name) for name in references})
-    for object_ in errors.objects if len(errors.objects) > 1 else ():
-        result += _rows({**head, "object": object_}, errors.only(object_), config, dict.fromkeys(references))
+    compared = {name: versus.get(name) for name in references}
+    parts = [(ALL_OBJECTS, errors, compared)]
+    if len(errors.objects) > 1:
+        parts += [(name, errors.only(name), dict.fromkeys(references)) for name in errors.objects]
+    result = []
+    for object_, part, differences in parts:
+        size = {"objects": len(part.objects), "samples": round(float(part.counts.sum()) / len(seeds))}
+        own = {**head, "seeds": len(seeds), "object": object_, **size}
+        result += skill_table(own, part, config, differences)
     return result
 
 
@@ -81,13 +86,20 @@ def _errors(rows: dict[int, list[Row]], seeds: Iterable[int]) -> ObjectErrors:
     return ObjectErrors.of_rows([row for seed in seeds for row in rows[seed]], BIOTAC)
 
 
-def _rows(
-    head: Row, errors: ObjectErrors, config: BootstrapConfig, versus: dict[str, dict[str, ScoreEstimate] | None]
+def skill_table(
+    head: Row, errors: ObjectErrors, config: BootstrapConfig, versus: Mapping[str, dict[str, ScoreEstimate] | None]
 ) -> list[Row]:
+    """Return a row for each modality, and one for their mean: error, skill, and differences of skills from other predictors.
+
+    Args:
+        head: Columns in which the rows do not differ.
+        errors: Of one predictor.
+        config: Of the bootstrap.
+        versus: By name of the other predictor, the differences; None where they were not compared.
+    """
     own, rmse = skills(errors, config), errors.rmse()
-    head = {**head, "objects": len(errors.objects), "samples": round(float(errors.counts.sum()) / head["seeds"])}
     result = []
-    for modality in (*MODALITIES, MEAN):  # a mean of errors of different sensors has no meaning
+    for modality in (*errors.channels.modalities, MEAN):  # a mean of errors of different sensors has no meaning
         row = {**head, "modality": modality, "rmse": rmse.get(modality), **interval_columns("skill", own[modality])}
         for name, differences in versus.items():
             difference = differences[modality] if differences else None

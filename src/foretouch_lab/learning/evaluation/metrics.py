@@ -158,6 +158,14 @@ class ObjectErrors:
         """
         return cls.of_rows(error_rows(objects, predicted, labels, reference), channels)
 
+    @classmethod
+    def pooled(cls, parts: Sequence[Self]) -> Self:
+        """Add up errors of the same sensor, such as of several seeds."""
+        columns = ("object", "count", "squared", "reference")
+        errors = [zip(part.objects, part.counts, part.squared, part.reference, strict=True) for part in parts]
+        rows = [dict(zip(columns, own, strict=True)) for one in errors for own in one]
+        return cls.of_rows(rows, parts[0].channels)
+
     def only(self, name: str) -> Self:
         """Return the errors of one object."""
         k = [self.objects.index(name)]

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import DatasetError
-from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup, tare_offset
+from foretouch.models.calibration import Calibration, CalibrationGroup, tare_offset
 from foretouch.types import Bool, Float64, Sample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of
@@ -150,7 +150,8 @@ def calibrate_on_folds(
 ) -> tuple[Calibration, dict[str, Any]]:
     """Return a calibration from held-out predictions.
 
-    Where all samples have a stamp, the parameters of the tracker of the sensors' state are fitted as well.
+    Where all samples have a stamp, the parameters of the tracker of the sensors' state are fitted as well. Before any reading its
+    intervals are about as wide as the conformal ones (`widen_unread`).
 
     Args:
         samples: Training samples, of several objects.
@@ -183,18 +184,11 @@ def calibrate_on_folds(
     facts["left_out"] = "objects" if shapes is None else "shapes"
     if all(sample.stamp_ns > 0 for sample in samples):
         recording = replace(TimedReadings.of_samples(samples, labels, predicted["new"], rest), where=where).ordered()
-        tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
+        groups = calibration.groups["new"], calibration.groups["known"]
+        tracker = widen_unread(fit_tracker(recording, *groups), *(group.half_width for group in groups))
         calibration = replace(calibration, tracker=tracker)
     origin = "recorded tares" if recorded else GUESSED
     return calibration, {**facts, "rest": origin if channels.tared.any() else "zero by the sensor's description"}
-
-
-def with_conformal_start(calibration: Calibration) -> Calibration:
-    """Return the calibration with intervals before any reading that are about as wide as the conformal ones; see `widen_unread`."""
-    if calibration.tracker is None:
-        return calibration
-    known, new = (calibration.groups[name].half_width for name in GROUPS)
-    return replace(calibration, tracker=widen_unread(calibration.tracker, known, new))
 
 
 def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> CalibrationGroup:

@@ -127,10 +127,15 @@ class HeldOutSamples:
 
     def folds(self, split: str) -> list[Fold]:
         """Return the folds of a split; of time and of objects those of a calibration."""
-        condition = {"time": "known", "object": "new", FIRST_TOUCHES: "new"}.get(split)
+        condition = {"time": "known", "object": "new"}.get(predicted_once(split))
         if condition is None:
             return make_folds(self.samples, split, self.seed)
         return calibration_folds(self.samples, self.seed)[condition][0]
+
+
+def predicted_once(split: str) -> str:
+    """Return the split whose predictions a split is scored on: first touches are of objects left out."""
+    return "object" if split == FIRST_TOUCHES else split
 
 
 def score_splits(
@@ -159,7 +164,7 @@ def score_splits(
     names = np.array([sample.object for sample in asked.samples])
     by_folds: dict[str, dict[str, Float64]] = {}  # objects left out are predicted once
     for split in splits:
-        folds, made_of = asked.folds(split), {FIRST_TOUCHES: "object"}.get(split, split)
+        folds, made_of = asked.folds(split), predicted_once(split)
         if made_of not in by_folds:
             by_folds[made_of] = predict_folds({name: (predict, folds) for name, predict in every.items()}, workers)
         kept = every_one

@@ -28,7 +28,7 @@ from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.network.networks import TouchNet, save_network, save_networks
-from foretouch_lab.learning.training.calibration import calibrate_on_folds, with_conformal_start
+from foretouch_lab.learning.training.calibration import calibrate_on_folds
 from foretouch_lab.learning.training.contact import ContactPredictor, describe_objects
 from foretouch_lab.learning.training.run_config import RunConfig
 from foretouch_lab.learning.training.run_folder import RunFolder
@@ -196,7 +196,8 @@ class NetworkLearner(Learner):
         train = self.split.train[self._chosen]
         trainer: Trainer
         if self.config.method == "srgan":
-            trainer = SrganTrainer(prepared, train, self.split.unlabelled, self.config.srgan)
+            held_out = np.setdiff1d(self.split.train, train)
+            trainer = SrganTrainer(prepared, train, np.setdiff1d(self.split.unlabelled, held_out), self.config.srgan)
         else:
             trainer = SupervisedTrainer(prepared, train, self.config.train)
         if run is not None and run.resumed:
@@ -217,11 +218,6 @@ class NetworkLearner(Learner):
             predicted[:, BIOTAC.columns(prepared.config.outputs)] = predict_set(net, prepared, self.split.train[index])
         return self._fallback().fade(predicted, self._objects[index])[0] if self.config.calibrates else predicted
 
-    def calibrate(self, workers: int = 1) -> CardCalibration:
-        """Calibrate as other methods, with intervals before any reading that are about as wide as the conformal ones."""
-        calibration, facts = super().calibrate(workers)
-        return with_conformal_start(calibration), facts
-
     def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
         """Write weights, card and calibration, all files or none."""
         learned = np.concatenate([self.split.train, self.split.unlabelled])
@@ -238,7 +234,7 @@ class NetworkLearner(Learner):
         return Fallback.fit(BIOTAC, self._objects[self._chosen], self.labels[self._chosen])
 
 
-def make_learner(config: RunConfig, data: Dataset) -> Learner:
-    """Return the learner of the configured method for the configured part of a dataset."""
-    split = data.partition(config.split)
+def make_learner(config: RunConfig, data: Dataset, split: Fold | None = None) -> Learner:
+    """Return the learner of the configured method for a part of a dataset, by default the configured one."""
+    split = data.partition(config.split) if split is None else split
     return (NetworkLearner if config.has_network else ContactLearner)(config, data, split)

@@ -29,7 +29,7 @@ from foretouch_lab.learning.data.dataset import Dataset, dataset_from
 from foretouch_lab.learning.data.folds import SPLITS, Fold
 from foretouch_lab.learning.data.training_set import labels_of
 from foretouch_lab.learning.evaluation.evaluate import trained_on
-from foretouch_lab.learning.training.calibration import calibrate_on_folds, guarantee, with_conformal_start
+from foretouch_lab.learning.training.calibration import calibrate_on_folds, guarantee
 from foretouch_lab.learning.training.run_config import RunConfig
 
 _OF_FILES: Final = ("format", "format_version", "kind", "name", "weights", "sha256", "calibration")
@@ -58,14 +58,17 @@ class OwnHoldOut:
 
     def __call__(self, fold: Fold) -> Float64:
         """Return (T, D) predictions of the test side [counts]."""
-        if not self.refitted:
-            return self._given[fold.test]
         train, test = fold.sides(self.samples)
-        return predict_samples(plain_model(fitted(self.model.predictor, train), self.model.sensor), test)
+        if self.refitted:
+            return predict_samples(plain_model(fitted(self.model.predictor, train), self.model.sensor), test)
+        asked = [k for k in fold.test.tolist() if k not in self._given]
+        self._given.update(zip(asked, predict_samples(self.model, [self.samples[k] for k in asked]), strict=True))
+        return np.array([self._given[k] for k in fold.test.tolist()])
 
     @cached_property
-    def _given(self) -> Float64:
-        return predict_samples(self.model, self.samples)
+    def _given(self) -> dict[int, Float64]:
+        """Predictions so far of a predictor that is given as it is, which other folds ask for again."""
+        return {}
 
 
 def calibrate(
@@ -150,7 +153,7 @@ def _calibrated(
     limits = _limits(split, given=not held_out.refitted and not known, says=first.familiar is not None)
     source = {"name": data.name, "sha256": data.sha256, "samples": len(samples)}
     facts = {"calibrated_on": source, "limits": [guarantee(held), *limits]}
-    return (with_conformal_start(calibration), {**held, "split": split}), facts
+    return (calibration, {**held, "split": split}), facts
 
 
 def _limits(split: str, *, given: bool, says: bool) -> list[str]:

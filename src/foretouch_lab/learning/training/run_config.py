@@ -2,6 +2,7 @@
 """Settings of one training, by whatever method, and how they are read."""
 
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -28,6 +29,7 @@ GROUPS: Final = {
 }
 """The methods that each group of settings is for."""
 
+_GROUP_OF: Final = {"supervised": "train", "srgan": "srgan", "contact": "contact"}  # which holds the seed
 _RECIPES: Final = "recipes/train"
 
 
@@ -110,10 +112,12 @@ class RunConfig(Settings):
     @property
     def seed(self) -> int:
         """Seed of the method."""
-        own: TrainConfig | SrganConfig | ContactTrainingConfig = getattr(
-            self, self.method.replace("supervised", "train")
-        )
+        own: TrainConfig | SrganConfig | ContactTrainingConfig = getattr(self, _GROUP_OF[self.method])
         return own.seed
+
+    def with_seed(self, seed: int) -> Self:
+        """Return the settings with another seed of the method."""
+        return self.updated({f"{_GROUP_OF[self.method]}.seed": seed}, "seed")
 
     @classmethod
     def from_card(cls, card: Mapping[str, Any], where: str | Path) -> Self:
@@ -164,6 +168,22 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
         raise ConfigError(f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(config, known)}")
     source = " ".join([str(config), *overrides])  # which of them is at fault, if both are, the field says
     return RunConfig.from_mapping(mapping | _with_network(parse_overrides(overrides), Path()), source)
+
+
+def recipe_of(words: str) -> RunConfig:
+    """Return the settings of a recipe and of `key=value` words after it, such as `p2 model.outputs=each`.
+
+    Args:
+        words: In one text, quoted as in a shell.
+
+    Raises:
+        ConfigError: As of `load_run_config`.
+    """
+    try:
+        recipe, *overrides = shlex.split(words) or [""]
+    except ValueError as err:
+        raise ConfigError(f"{shown(words)}: {err}") from err
+    return load_run_config(recipe, overrides)
 
 
 def _with_network(mapping: dict[str, Any], folder: Path) -> dict[str, Any]:

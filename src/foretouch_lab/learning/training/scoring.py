@@ -6,11 +6,12 @@ predicts them, but for those that it was trained on, which are left out for all.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError
@@ -19,16 +20,16 @@ from foretouch.models.own import find_predictor
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import usual_ranges
 from foretouch.tactile.description import require_same
-from foretouch.types import Sample
+from foretouch.types import Index, Sample
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.dataset import dataset_from
-from foretouch_lab.learning.data.folds import SPLITS, HoldOut
+from foretouch_lab.learning.data.folds import SPLITS, Fold, HoldOut
 from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline
 from foretouch_lab.learning.evaluation.evaluate import MODEL, trained_on
 from foretouch_lab.learning.training.compare import Evaluation, HeldOutSamples, score_splits
 from foretouch_lab.learning.training.learners import Learner, make_learner
 from foretouch_lab.learning.training.own import OwnHoldOut, can_refit, plain_model
-from foretouch_lab.learning.training.run_config import RunConfig, load_run_config
+from foretouch_lab.learning.training.run_config import RunConfig, recipe_of
 
 
 def evaluate(
@@ -58,55 +59,99 @@ def score_models(
     baselines: Mapping[str, Baseline] = BASELINES,
 ) -> Evaluation:
     """Score models by name, and baselines, on the labelled samples of a dataset; see `foretouch.evaluate`."""
+    held_out = {name: hold_out(model, data, refit) for name, model in models.items()}
+    trained_on = np.concatenate([np.empty(0, np.intp), *(one.trained_on for one in held_out.values())])
+    asked = held_out_samples(data, seed, trained_on)
+    predictors = {name: one.predict for name, one in held_out.items()}
+    result = score_splits(predictors, asked, splits, baselines=baselines, workers=workers)
+    return replace(result, notes=tuple(f"{name}: {one.note}" for name, one in held_out.items()))
+
+
+def held_out_samples(data: Dataset, seed: int, trained_on: npt.ArrayLike = ()) -> HeldOutSamples:
+    """Return the labelled samples of a dataset, to be scored without those that a model was trained on.
+
+    Args:
+        data: The dataset.
+        seed: Of random folds and of the baselines.
+        trained_on: (T,) indices of labelled samples that are left out.
+
+    Raises:
+        DatasetError: If none is left.
+    """
     index = data.partition(None).train
     labelled = [data.filled[k] for k in index]
-    held_out = {name: _held_out(model, data, labelled, refit) for name, model in models.items()}
-    kept, notes = np.full(len(index), True), []
-    for name, (_, card, note) in held_out.items():
-        trained = ""
-        own = None if card is None else trained_on(card, data, index)
-        if own is not None and own.any():
-            trained = f"; {int(own.sum())} samples that it was trained on are left out"
-            kept &= ~own
-        elif card is not None and own is None:
-            trained = "; whether it was trained on these samples is not known"
-        notes.append(f"{name}: {note}{trained}")
+    kept = ~np.isin(np.arange(len(index)), trained_on)
     if not kept.any():
         rule = "were trained on by a model, so that none is held out; pass refit=True, or a recipe such as 'contact-v3'"
         raise DatasetError(f"{data.name}: all {len(index)} samples {rule}")
     ranges = usual_ranges(data.sensor.channels)
-    asked = HeldOutSamples(data.name, labelled, labels_of(labelled), ranges, data.sensor.valid_values, seed, kept)
-    predictors = {name: predict for name, (predict, *_) in held_out.items()}
-    result = score_splits(predictors, asked, splits, baselines=baselines, workers=workers)
-    return replace(result, notes=tuple(notes))
+    return HeldOutSamples(data.name, labelled, labels_of(labelled), ranges, data.sensor.valid_values, seed, kept)
 
 
-_Card = Mapping[str, Any]
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """How a model predicts samples that it was not fitted to.
+
+    Attributes:
+        predict: Predicts the test side of a fold of the labelled samples.
+        note: How it is held out.
+        trained_on: (T,) indices of labelled samples that a model that is given as it is was trained on.
+    """
+
+    predict: HoldOut
+    note: str
+    trained_on: Index = field(default_factory=lambda: np.empty(0, np.intp))
+
+
 _REFITTED: Final = "fitted again without the samples of each fold"
 _GIVEN: Final = "given as it is"
 
 
-def _held_out(
-    model: Any, data: Dataset, labelled: Sequence[Sample], refit: bool | None
-) -> tuple[HoldOut, _Card | None, str]:
-    """Return what predicts folds for a recipe, a model or a predictor; the card of one that is given as it is; and a note."""
+def hold_out(model: Any, data: Dataset, refit: bool | None = None) -> HeldOut:
+    """Return how a recipe, a model or a predictor is held out of the labelled samples of a dataset.
+
+    Args:
+        model: The settings of a recipe or its words (`recipe_of`), a touch model, or a predictor as of `find_predictor`.
+        data: The dataset.
+        refit: Whether a model or predictor is fitted again in each fold; by default a predictor that can be.
+
+    Raises:
+        ConfigError: If there is no such recipe.
+        ModelError: If the predictor cannot be made, or cannot be fitted again.
+    """
     if isinstance(model, str):
-        return _learner(load_run_config(model), data).predict_fold, None, f"recipe {model}, {_REFITTED}"
+        return HeldOut(_learner(recipe_of(model), data).predict_fold, f"recipe {model}, {_REFITTED}")
+    if isinstance(model, RunConfig):
+        return HeldOut(_learner(model, data).predict_fold, f"recipe, {_REFITTED}")
     if isinstance(model, TouchModel):
         require_same(data.sensor.channels, model.sensor.channels, data.name)
         if model.card.get("kind") != OWN:
-            if refit:
-                config = RunConfig.from_card(model.card, model.name).replace(split=None)
-                return _learner(config, data).predict_fold, None, f"{model.name}, {_REFITTED}"
-            return OwnHoldOut(model, labelled, refitted=False), model.card, f"{model.name}, {_GIVEN}"
+            if not refit:
+                return _as_it_is(model, data)
+            config = RunConfig.from_card(model.card, model.name).replace(split=None)
+            return HeldOut(_learner(config, data).predict_fold, f"{model.name}, {_REFITTED}")
     predictor = model.predictor if isinstance(model, TouchModel) else find_predictor(model)
     plain = plain_model(predictor, data.sensor)
     if can_refit(predictor, refit):
-        return OwnHoldOut(plain, labelled), None, f"{plain.name}, {_REFITTED}"
-    card = model.card if isinstance(model, TouchModel) else plain.card
-    return OwnHoldOut(plain, labelled, refitted=False), card, f"{plain.name}, {_GIVEN}"
+        return HeldOut(OwnHoldOut(plain, held_out_samples(data, 0).samples), f"{plain.name}, {_REFITTED}")
+    return _as_it_is(plain, data, model.card if isinstance(model, TouchModel) else plain.card)
+
+
+def _as_it_is(model: TouchModel, data: Dataset, card: Mapping[str, Any] | None = None) -> HeldOut:
+    """Return the samples that a model which is not fitted again was not trained on, by its card or another one."""
+    predict = OwnHoldOut(model, held_out_samples(data, 0).samples, refitted=False)
+    own = trained_on(model.card if card is None else card, data, data.partition(None).train)
+    if own is None:
+        return HeldOut(predict, f"{model.name}, {_GIVEN}; whether it was trained on these samples is not known")
+    left_out = f"; {int(own.sum())} samples that it was trained on are left out" if own.any() else ""
+    return HeldOut(predict, f"{model.name}, {_GIVEN}{left_out}", np.flatnonzero(own))
 
 
 def _learner(config: RunConfig, data: Dataset) -> Learner:
-    """Return the learner of a recipe for all samples; networks fade to the mean on other objects, as in a release."""
-    return make_learner(config.replace(calibrate=True), data)
+    """Return the learner of a recipe for all labelled samples; networks fade to the mean on other objects, as in a release.
+
+    The unlabelled clouds of the SR-GAN are those of all samples, so of each fold those of its training side.
+    """
+    index = data.partition(None).train
+    everything = Fold(index, np.empty(0, np.intp), unlabelled=np.arange(len(data.samples)))
+    return make_learner(config.replace(calibrate=True, split=None), data, everything)

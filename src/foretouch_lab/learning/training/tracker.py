@@ -226,28 +226,26 @@ def _with_intervals(parameters: TrackerParameters, recording: TimedReadings) -> 
     return replace(parameters, factor=np.clip(factor, 0.1, 100.0), alarm=alarm)
 
 
-def widen_unread(parameters: TrackerParameters, known: Float64, new: Float64) -> TrackerParameters:
+def widen_unread(parameters: TrackerParameters, new: Float64, known: Float64) -> TrackerParameters:
     """Return the parameters with larger variances, so that intervals before any reading are about as wide as conformal ones.
 
-    A recording in order of time says little about an error that stays for all of it, such as the bias of a predictor that was
-    given as it is, and the replay adapts to it. It is added to the slow state for known objects, and what new objects need beyond to theirs.
+    A recording in order of time says little about an error that stays with an object, or with a predictor that was given as it
+    is, since the replay adapts to it. What intervals lack is added to the variance of objects, and not of the sensors: no tare
+    measures it, and a tare is checked by what sensors do.
 
     Args:
         parameters: Fitted to a recording.
-        known: (D,) conformal half widths of known objects [counts].
-        new: (D,) of new ones [counts].
+        new: (D,) conformal half widths of new objects [counts].
+        known: (D,) of known ones [counts].
     """
     squared = parameters.basis**2
     factor = parameters.channels.by_modality(parameters.factor)
-
-    def lacking(parameters: TrackerParameters, kind: int, half: Float64) -> Float64:
-        states = parameters.slow + parameters.fast + parameters.object[kind] + parameters.noise[kind]
-        return np.asarray(nnls(squared, np.maximum((half / factor) ** 2 - squared @ states, 0.0))[0], np.float64)
-
-    wider = replace(parameters, slow=parameters.slow + lacking(parameters, KNOWN, known))
-    objects = wider.object.copy()
-    objects[NEW] += lacking(wider, NEW, new)
-    return replace(wider, object=objects)
+    objects = parameters.object.copy()
+    for kind, half in ((NEW, new), (KNOWN, known)):
+        states = parameters.slow + parameters.fast + objects[kind] + parameters.noise[kind]
+        lacking = np.maximum((half / factor) ** 2 - squared @ states, 0.0)
+        objects[kind] += nnls(squared, lacking)[0]
+    return replace(parameters, object=objects)
 
 
 def fit_places(parameters: TrackerParameters, recording: TimedReadings) -> TrackerParameters:

@@ -8,12 +8,13 @@ from calibrated_models import REST
 from numpy.testing import assert_array_equal
 
 from foretouch.models.calibration import Calibration
+from foretouch.models.registry import load_model
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
 from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
+from foretouch_lab.learning.training.tracker import fit_places, fit_tracker, widen_unread
 
 DAY = 86400.0
 
@@ -103,3 +104,18 @@ def test_the_fit_finds_what_places_say_and_nothing_in_others(rng) -> None:
     plain, alike = error(level, None), error(found, second.where)
     assert alike < 0.85 * plain
     assert error(shuffled, second.where[order]) > 0.98 * plain
+
+
+def test_intervals_before_any_reading_are_widened_by_what_stays_with_an_object() -> None:
+    """About to the widths asked, as far as what varies together admits; neither a tare nor the sensors' drift takes part."""
+    calibration = load_model("contact-v3").calibration
+    wanted = {name: 1.5 * group.half_width for name, group in calibration.groups.items()}
+    wider = widen_unread(calibration.tracker, wanted["new"], wanted["known"])
+    got = replace(calibration, tracker=wider).unread_half_widths
+    for name, half in wanted.items():
+        assert np.abs(got[name] / half - 1.0).max() < 0.11
+        assert abs(np.mean(got[name] / half) - 1.0) < 0.02
+    for name in ("slow", "fast", "noise", "factor", "basis"):
+        assert_array_equal(getattr(wider, name), getattr(calibration.tracker, name))
+    narrower = widen_unread(calibration.tracker, *(np.ones(50) for _ in range(2)))
+    assert_array_equal(narrower.object, calibration.tracker.object)
