@@ -217,9 +217,9 @@ def _grouped(cls: type[Settings]) -> str:
 
 def pipeline() -> str:
     """Settings of the pipeline."""
-    from foretouch.pipeline import PipelineConfig
+    from foretouch.stream import StreamConfig
 
-    return _grouped(PipelineConfig)
+    return _grouped(StreamConfig)
 
 
 def scenes() -> str:

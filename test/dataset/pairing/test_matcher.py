@@ -75,7 +75,7 @@ def _check_pairs(seed: int) -> None:
     assert len(linked) >= 0.9 * len(set(known) & set(reported))
     for one in linked:
         number = int(one.executed.grasp_id.removeprefix("g-"))
-        assert one.cloud.seen.data == f"cloud {number}".encode()
+        assert one.cloud.data == f"cloud {number}".encode()
         # The nearest wrong touch is 10 counts away in every electrode and 20 in PDC.
         assert np.abs(one.sample.touch.values - level(number)).max() < 5.0
     reasons = [result.reason for result in results if isinstance(result, RejectedGrasp)]

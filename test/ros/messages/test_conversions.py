@@ -22,7 +22,7 @@ from foretouch.cli.answers import answer_record
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.cloud.messages import decode_plane
 from foretouch.errors import CloudError, GraspError, ModelError
-from foretouch.grasp.messages import decode_grasp, has_orientation, rotation_from_quaternion
+from foretouch.grasp.messages import decode_grasp, encode_grasp, has_orientation, rotation_from_quaternion
 from foretouch.ros.messages.conversions import (
     duration_to_msg,
     grasp_to_msg,
@@ -88,6 +88,26 @@ def test_how_a_hand_comes_to_a_grasp_is_received_as_it_was_sent():
         **{name: getattr(message, name) for name in ("id", "object_id", "g1", "g2", "pose", "rotation", "score")}
     )
     assert decode_grasp(older).way is None  # a recording of 0.3
+
+
+def test_a_grasp_is_written_alike_for_rclpy_and_for_recordings():
+    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    ends = np.array([0.03, 0.0, 0.8]), np.array([-0.03, 0.0, 0.8])
+    for way in (None, way_in()):
+        grasp = Grasp(*ends, turn, 0.5, "a", "7", way, ("may_not_fit",))
+        sent, plain = grasp_to_msg(grasp, Status.BAD_GRASP, "why"), encode_grasp(grasp, Status.BAD_GRASP, "why")
+        names = vars(plain).keys()
+        assert names <= set(sent.get_fields_and_field_types())
+        assert plain_of(sent, names) == plain_of(plain, names)
+
+
+def plain_of(message, names):
+    """The fields of a message as plain numbers and texts, whichever library it is of."""
+    if not hasattr(message, "__dict__") and not hasattr(message, "get_fields_and_field_types"):
+        return message.tolist() if hasattr(message, "tolist") else message
+    if names is None:
+        names = vars(message) if type(message).__name__ == "SimpleNamespace" else message.get_fields_and_field_types()
+    return {name: plain_of(getattr(message, name), None) for name in names}
 
 
 def test_a_way_in_that_cannot_be_used_is_refused_by_name():

@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from foretouch.cloud.messages import decode_plane
-from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
+from foretouch.dataset.pairing.buffers import CloudBuffer, SeenObjects, TouchBuffer
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError
 from foretouch.dataset.pairing.matcher import (
     ExecutedGrasp,
@@ -189,7 +189,7 @@ class SampleAssembler:
             self._unlabelled.clear()
         return results
 
-    def _remove(self, clouds: list[BufferedCloud]) -> None:
+    def _remove(self, clouds: list[SeenObjects]) -> None:
         """Turn clouds that left the buffer into samples without a touch."""
         every_s = self.config.unlabelled_s
         for cloud in clouds:
@@ -241,7 +241,7 @@ class SampleAssembler:
         """Return the label of the object on the table at a time, such as when the hand began to close; by default the first."""
         return next((label for since, label in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
 
-    def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> Sample:
+    def _without_touch(self, cloud: SeenObjects, plan: PlannedGrasps) -> Sample:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)
         seen = _object_of(cloud, plan.frame_id, grasp)
         return Sample(
@@ -273,15 +273,15 @@ def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...],
     return grasp, others, "; ".join(f"candidate {name} left out: {fault}" for name, fault in faults.items())
 
 
-def _object_of(cloud: BufferedCloud, frame_id: str, grasp: Grasp) -> Object:
+def _object_of(cloud: SeenObjects, frame_id: str, grasp: Grasp) -> Object:
     """Return the object of a cloud that a grasp in a frame is on; a `PairingError` if it is not known."""
     try:
-        objects = cloud.seen.decode()
+        objects = cloud.decode()
     except (CloudError, DatasetError) as err:
         raise PairingError("bad_cloud", str(err)) from err
     if objects and objects[0].cloud.frame_id != frame_id:
         raise PairingError("frame_differs", f"cloud in {objects[0].cloud.frame_id!r}, grasps in {frame_id!r}")
-    if cloud.seen.by_place and objects:
+    if cloud.by_place and objects:
         return min(objects, key=lambda candidate: _gap(candidate.cloud, grasp))
     object_id = grasp.object_id
     alone = len(objects) == 1  # then it is the object of a grasp without an id too, as for the prediction

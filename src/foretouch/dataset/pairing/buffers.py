@@ -135,6 +135,8 @@ class SeenObjects:
     size: int  # in memory [bytes]
     data: bytes = b""  # the message as CDR, if it is one
     by_place: bool = False  # whether its labels differ from the grasps', so that the object of a grasp is the nearest
+    since_s: float = 0.0  # when the buffer got it [s]
+    ambiguous: bool = False  # whether a different cloud has the same stamp
 
     @classmethod
     def of(cls, objects: Sequence[Object], stamp_ns: int) -> Self:
@@ -171,20 +173,6 @@ def _are_same(mine: Cloud, theirs: Cloud) -> bool:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class BufferedCloud:
-    """A cloud in the buffer."""
-
-    seen: SeenObjects  # its objects
-    since_s: float  # when it was added [s]
-    ambiguous: bool = False  # whether a different cloud has the same stamp
-
-    @property
-    def stamp_ns(self) -> int:
-        """Stamp of its header [ns]."""
-        return self.seen.stamp_ns
-
-
 class CloudBuffer:
     """The objects of clouds by stamp, at most for `kept_s` [s] and in `kept_mb` [MB]; the oldest arrival is removed first.
 
@@ -195,22 +183,22 @@ class CloudBuffer:
         self.bytes = 0
         self._kept_s = kept_s
         self._max_bytes = kept_mb * _MB
-        self._clouds: OrderedDict[int, BufferedCloud] = OrderedDict()
+        self._clouds: OrderedDict[int, SeenObjects] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._clouds)
 
-    def get(self, stamp_ns: int) -> BufferedCloud | None:
+    def get(self, stamp_ns: int) -> SeenObjects | None:
         """Return the cloud of this stamp, None if it never came or has been removed."""
         return self._clouds.get(stamp_ns)
 
-    def add(self, seen: SeenObjects, now_s: float) -> list[BufferedCloud]:
+    def add(self, seen: SeenObjects, now_s: float) -> list[SeenObjects]:
         """Add the objects of a cloud, and return the clouds that were removed for it."""
         known = self._clouds.get(seen.stamp_ns)
         if known is not None:
-            self._clouds[seen.stamp_ns] = replace(known, ambiguous=known.ambiguous or not known.seen.is_same(seen))
+            self._clouds[seen.stamp_ns] = replace(known, ambiguous=known.ambiguous or not known.is_same(seen))
             return []
-        self._clouds[seen.stamp_ns] = BufferedCloud(seen, now_s)
+        self._clouds[seen.stamp_ns] = replace(seen, since_s=now_s)
         self.bytes += seen.size
         removed = []
         while self._clouds:
@@ -220,11 +208,11 @@ class CloudBuffer:
             removed.append(self._pop())
         return removed
 
-    def clear(self) -> list[BufferedCloud]:
+    def clear(self) -> list[SeenObjects]:
         """Remove all clouds; gives them, oldest first."""
         return [self._pop() for _ in range(len(self._clouds))]
 
-    def _pop(self) -> BufferedCloud:
+    def _pop(self) -> SeenObjects:
         _, cloud = self._clouds.popitem(last=False)
-        self.bytes -= cloud.seen.size
+        self.bytes -= cloud.size
         return cloud

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
-from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
+from foretouch.dataset.pairing.buffers import CloudBuffer, SeenObjects, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, cut_touch
 from foretouch.tactile.contact_detector import SETTLE_NS
 from foretouch.types import SECOND_NS, Outcome, Sample, stamp_ns
@@ -61,7 +61,7 @@ class MatchedGrasp(NamedTuple):
     """An executed grasp with its plan, its cloud and its touch."""
 
     plan: PlannedGrasps
-    cloud: BufferedCloud
+    cloud: SeenObjects
     sample: Sample  # with touch, tare and readings alone, as of `cut_touch`
     executed: ExecutedGrasp
     label: Label | None

@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
-from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig
+from foretouch.grasp import CarriedConfig, GeoGraspConfig, GraspPlan, HandConfig
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.placement import Placement, poses_to_msg
@@ -35,6 +35,7 @@ class GraspSettings(FrameSettings, HoldConfig):
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
     hand: HandConfig = HandConfig()
+    object: CarriedConfig = CarriedConfig()
 
 
 def stream_config(config: Any) -> StreamConfig:
@@ -80,16 +81,13 @@ class GraspStep(Step):
             message: The grasps, in the frame of the cloud.
             placement: Of their poses.
         """
-        self._publish(message, placement)
-
-    def refuse(self, header: Header, status: int, reason: str) -> None:
-        """Publish that there is no grasp, and why."""
-        self._publish(GraspArray(header=header, status=status, reason=reason), Placement(header))
-
-    def _publish(self, message: GraspArray, placement: Placement) -> None:
         self._grasps.publish(message)
         if self._poses is not None and self._poses.get_subscription_count():
             self._poses.publish(poses_to_msg(message, placement))
+
+    def refuse(self, header: Header, status: int, reason: str) -> None:
+        """Publish that there is no grasp, and why."""
+        self.publish(GraspArray(header=header, status=status, reason=reason), Placement(header))
 
 
 def grasps_to_msg(targets: Sequence[Object], plans: Sequence[GraspPlan], header: Header, note: str = "") -> GraspArray:
