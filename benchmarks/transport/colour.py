@@ -56,25 +56,26 @@ def main() -> None:
     costs: dict[tuple[bool, bool], list[float]] = {}
     try:
         bench.ready()
-        bench.wait(lambda: bench.colours.get_subscription_count() > 0, 10.0)
         burst(bench, graph.pid, inputs, 20)
         for looked_at in (False, True):
             if looked_at:
                 bench.node.create_subscription(PointCloud2, "object_cloud", lambda _: None, 10)
-                time.sleep(3.0)
+                bench.wait(lambda: bench.colours.get_subscription_count() > 0, 10.0)
+                time.sleep(1.0)
             for _, bench.coloured in itertools.product(range(options.turns), (False, True)):
                 costs.setdefault((looked_at, bench.coloured), []).append(burst(bench, graph.pid, inputs, 10))
         for looked_at, who in ((False, "nobody looks at them"), (True, "object_cloud has a subscriber")):
             off, on = (1e3 * float(np.median(costs[looked_at, coloured])) for coloured in (False, True))
             print(f"colours beside depth, {who}: {off:.2f} ms without, {on:.2f} ms with: {on / off:.3f}")
-        bench.received()
-        before = dict(bench.report(NOW[0]))
-        bench.coloured = True
-        stamps = bench.send_at(inputs, RATE_HZ, options.seconds)
-        bench.received()
-        after = bench.report(NOW[0])
-        counts = (f"{name} {int(after.get(name, 0)) - int(before.get(name, 0))}" for name in COUNTS)
-        print(f"at {RATE_HZ:g} Hz: sent {len(stamps)} of each,", ", ".join(counts))
+        for bench.coloured in (False, True):
+            bench.received()
+            before = dict(bench.report(NOW[0]))
+            stamps = bench.send_at(inputs, RATE_HZ, options.seconds)
+            bench.received()
+            after = bench.report(NOW[0])
+            counts = (f"{name} {int(after.get(name, 0)) - int(before.get(name, 0))}" for name in COUNTS)
+            who = "depth and colours" if bench.coloured else "depth alone"
+            print(f"{who} at {RATE_HZ:g} Hz: sent {len(stamps)}, {', '.join(counts)}")
     finally:
         end(graph)
         bench.leave()

@@ -60,7 +60,13 @@ def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: Pipeline
 
 
 def plan(
-    target: Object, *, count: int | None = None, hand: str | None = None, config: PipelineConfig | None = None
+    target: Object,
+    *,
+    count: int | None = None,
+    hand: str | None = None,
+    mass_kg: float | None = None,
+    friction: float | None = None,
+    config: PipelineConfig | None = None,
 ) -> Grasps:
     """Plan two-finger grasps on an object.
 
@@ -68,6 +74,8 @@ def plan(
         target: An object of a `Scene`, whose other objects are avoided.
         count: Most grasps; by default one.
         hand: A described hand that must find a way to the object, such as `franka_hand`, or the path of a YAML file.
+        mass_kg: Mass of the object [kg]; grasps that cannot carry it get the flag `cannot_carry`. None if it is not known.
+        friction: Coefficient between fingertips and object; 0.8 if None.
         config: Settings of all steps; the defaults if None.
 
     Returns:
@@ -79,7 +87,13 @@ def plan(
         ConfigError: If there is no such hand, or the count is out of its bounds.
     """
     pipeline = Pipeline(config)
-    for name, key, value in (("count", "grasp.count", count), ("hand", "hand.name", hand)):
+    given: dict[str, tuple[str, int | float | str | None]] = {
+        "count": ("grasp.count", count),
+        "hand": ("hand.name", hand),
+        "mass_kg": ("object.mass_kg", mass_kg),
+        "friction": ("object.friction", friction),
+    }
+    for name, (key, value) in given.items():
         if value is not None:
             pipeline.config = pipeline.config.updated({key: value}, name)
     return pipeline.plan(target).grasps

@@ -22,7 +22,7 @@ from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, flattened, setting
 from foretouch.errors import CloudError, ConfigError, require_type, shown
-from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, plan_grasps, with_rotations
+from foretouch.grasp import CarriedConfig, GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, plan_grasps, with_rotations
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.grasp.unseen import DepthAround
 from foretouch.models import History, Readings, TouchModel, load_model
@@ -42,6 +42,7 @@ class PipelineConfig(Summarised, Settings):
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
     hand: HandConfig = HandConfig()
+    object: CarriedConfig = CarriedConfig()
     reach: ReachConfig = ReachConfig()
     model: str = setting("default", MODEL_WORDS, read_only=True)
     predictor: str = setting("", PREDICTOR_WORDS, read_only=True)
@@ -200,7 +201,7 @@ class Pipeline(Summarised):
         require_object(target)
         if target.background:
             raise CloudError(f"target: is background ({target.background}); grasps are planned on objects of a scene")
-        plan = plan_grasps(
+        return plan_grasps(
             target.cloud,
             target.plane,
             self.config.grasp,
@@ -212,10 +213,11 @@ class Pipeline(Summarised):
             held=held,
             hold=hold,
             hand=self.config.hand,
+            carried=self.config.object,
             obstacles=None if target.obstacles is None else target.obstacles.without(target),
             around=DepthAround.of(target) if self.config.grasp.method == "completed" else None,
+            object_id=target.id,
         )
-        return replace(plan, grasps=plan.grasps.replace(object_id=target.id))
 
     def grasp_between(self, target: Object, g1: Float64, g2: Float64) -> Grasp:
         """Make the grasp with given contacts, and the rotation that GeoGrasp computes for them.

@@ -93,7 +93,7 @@ class Stream(Summarised):
         if config.target != before.target:
             self.select("")
             self._previous = None
-        planning = [(one.grasp, one.hand, one.limits, one.grasp_hold) for one in (before, config)]
+        planning = [(one.grasp, one.hand, one.object, one.limits, one.grasp_hold) for one in (before, config)]
         if planning[0] != planning[1] or before.hand.hand is not config.hand.hand:  # its file may have been edited
             self._held = GraspHold(_HOLD_TOLERANCE_M)
 

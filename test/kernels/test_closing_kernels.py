@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from every_case import every_case
 from kernels.references import closing as reference
-from seen_solids import Camera, Solid, ball, box, can
+from seen_solids import Camera, Solid, about_vertical, ball, box, can
 
-from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, completed, hand, plan_grasps
+from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, completed, hand, outline, plan_grasps
 from foretouch.kernels import struct
 from foretouch.types import Cloud
 
@@ -26,7 +26,7 @@ SOLIDS = {
     "plate": (box(0.05, 0.08, 0.012), Camera(70.0)),
 }
 BLOCK = np.mgrid[-0.0298:0.0303:0.001, -0.0198:0.0203:0.001, 0.001:0.08:0.002].reshape(3, -1).T.copy()  # filled
-LINES = np.array([0.004, 0.008, 0.01, 0.001, 1.0, 0.0, 0.038])  # settings of `closing_lines`
+LINES = np.array([0.004, 0.008, 0.01, 0.001, 1.0, 0.0, 0.038, 0.005])  # settings of `closing_lines`
 
 
 class Recorder:
@@ -103,9 +103,9 @@ def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.ra
             assert np.count_nonzero(met != np.isfinite(other[..., 0])) <= 0.005 * met.size
             both = met & np.isfinite(other[..., 0])
             gaps = np.abs(found - other)[both]
-            low, high, height, top, blocker, solid, *palm = gaps.T
+            low, high, height, top, blocker, solid, *palm, outer_low, outer_high = gaps.T
             assert not np.any(palm)
-            lengths = np.stack([low, high, height, top])  # [m]
+            lengths = np.stack([low, high, height, top, outer_low, outer_high])  # [m]
             if met.size > 1:
                 assert np.quantile(lengths, 0.9) < 1e-6
                 assert np.mean(blocker > 0.0) < 0.01
@@ -118,11 +118,25 @@ def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.ra
     assert n_hidden > 1000
 
 
+def test_the_outermost_points_of_rows(rng: np.random.Generator) -> None:
+    """Also of rows without a point, and without one at the height of the line."""
+    points = rng.uniform((-0.03, -0.01, -0.02), (0.03, 0.004, 0.02), (400, 3)).astype(np.float32)
+    low = np.array([[0.05, 0.0, -0.0079], [-0.001, 0.0, 0.05]], np.float32)
+    frame = np.append(about_vertical(0.4).T, [0.001, 0.002, 0.0])
+    for some in (points, low, points[:0]):
+        found, expected = np.empty((2, 4, 2, 9))
+        arguments = some, len(some), frame, np.array([0.006, 0.008, 0.0014]), 9
+        outline._outline_rows(*arguments, found)
+        reference.outline_rows(*arguments, expected)
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert np.isfinite(found).sum() == 18  # no point: the numbers of none
+
+
 def test_an_ideal_box_is_as_wide_as_it_is() -> None:
     """A block of points that is filled from 0 to 80 mm: worked by hand."""
     turns = np.array([[0.0, 0.0, np.nan], [np.pi / 2.0, 0.0, np.nan], [0.0, 0.004, np.nan]])
     others = np.array([[0.05, 0.0, 0.04], [0.0, -0.03, 0.04], [0.08, 0.0, 0.04], [0.05, 0.0, 0.02]])
-    found = np.empty((3, 3, 8))
+    found = np.empty((3, 3, 10))
     completed._closing_lines(
         *(BLOCK, np.ones(len(BLOCK)), len(BLOCK), turns, 3, 3, LINES, unseen()),
         *(others, len(others), np.zeros(2), 0, 0, found),
@@ -131,8 +145,9 @@ def test_an_ideal_box_is_as_wide_as_it_is() -> None:
     np.testing.assert_allclose(found[0, :, 1], 0.0302, atol=0.0006)
     np.testing.assert_allclose(found[1, :, 0], -0.0198, atol=0.0006)
     np.testing.assert_allclose(found[1, :, 1], 0.0202, atol=0.0006)
+    np.testing.assert_allclose(found[0, :, 8:], [[-0.0298, 0.0302]] * 3, atol=0.0006)  # where the outermost points are
     np.testing.assert_allclose(found[:, :, 3], 0.076, atol=0.002)  # 95 % of the points are lower
-    np.testing.assert_allclose(found[:, :, 2], found[:, :, 3] / 2.0, atol=1e-9)
+    np.testing.assert_allclose(found[:, :, 2], found[:, :, 3] / 2.0 - 0.006, atol=1e-9)
     np.testing.assert_array_equal(
         found[0, :, 4], 0
     )  # the first, 20 mm outside of the end and no more than a tip beside
@@ -145,7 +160,7 @@ def test_a_line_is_raised_where_a_palm_would_meet_the_object() -> None:
     """A block of 60 x 40 x 80 mm, worked by hand: its line is 6 mm below half of 76 mm, and the palm reaches down to the free depth over it."""
 
     def line(beside_middle: float, middle: float, tilts: tuple[float, ...] = (0.0,), lift: float = 0.0) -> Any:
-        found = np.empty((1, 1, 8))
+        found = np.empty((1, 1, 10))
         palm = np.array([0.03, 0.01, *tilts, *[lift] * len(tilts), *[beside_middle] * 20, *[middle] * 20])
         completed._closing_lines(
             *(BLOCK, np.ones(len(BLOCK)), len(BLOCK), np.array([[0.0, 0.0, np.nan]]), 1, 1, LINES, unseen()),
@@ -170,6 +185,26 @@ def test_a_line_is_raised_where_a_palm_would_meet_the_object() -> None:
     assert from_the_side[7] == 0.0
     assert from_the_side[6] == pytest.approx(0.02 - 0.03, abs=0.005)
     assert line(0.03, 0.03, (0.0, np.pi / 2.0), lift=0.05)[7] > 0.007  # but where the hand would be in the table
+
+
+def test_points_that_are_hardly_certain_raise_no_line() -> None:
+    """Mirrored points appear and vanish as the camera moves: with next to no weight, and in whatever order, they count for nothing."""
+    palm = np.array([0.03, 0.01, 0.0, 0.0, *[0.03] * 20, *[0.03] * 20])
+
+    def height(points: np.ndarray, weights: np.ndarray) -> float:
+        found = np.empty((1, 1, 10))
+        completed._closing_lines(
+            *(points, weights, len(points), np.array([[0.0, 0.0, np.nan]]), 1, 1, LINES, unseen()),
+            *(np.empty((0, 3)), 0, palm, 1, 20, found),
+        )
+        return float(found[0, 0, 2])
+
+    ghosts = np.mgrid[-0.01:0.011:0.004, -0.01:0.011:0.004, 0.1:0.12:0.004].reshape(3, -1).T
+    both, weights = np.concatenate([ghosts, BLOCK]), np.concatenate([np.full(len(ghosts), 1e-4), np.ones(len(BLOCK))])
+    alone = height(BLOCK, np.ones(len(BLOCK)))
+    assert alone == pytest.approx(0.049, abs=0.003)
+    for order in (slice(None), slice(1, None), slice(None, None, -1)):
+        assert height(both[order].copy(), weights[order].copy()) == pytest.approx(alone, abs=1e-4)
 
 
 def test_how_far_a_hand_can_go_on(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:

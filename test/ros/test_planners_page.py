@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
+from foretouch.grasp.carry import CANNOT_CARRY
 from foretouch.grasp.completed import MAY_NOT_FIT
 from foretouch.grasp.reach import OFF_OBJECT
 from foretouch.grasp.unseen import BESIDE_UNSEEN
@@ -23,7 +24,7 @@ pytestmark = pytest.mark.ros
 ROOT = Path(__file__).parents[2]
 FLAGS = (
     *("out_of_range", "unfamiliar", *UNFAMILIAR, SIMILAR_TOUCHES, EQUAL_PRESSURE, OFF_OBJECT, BESIDE_UNSEEN),
-    *(MAY_NOT_FIT, NO_TABLE, LATE, "fallback_model", AMBIGUOUS_TARGET, SELECTED, UNKNOWN_FRAME),
+    *(MAY_NOT_FIT, CANNOT_CARRY, NO_TABLE, LATE, "fallback_model", AMBIGUOUS_TARGET, SELECTED, UNKNOWN_FRAME),
 )
 PAGE = (ROOT / "docs" / "planners.md").read_text(encoding="utf-8")
 

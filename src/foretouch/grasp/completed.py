@@ -26,14 +26,16 @@ import numpy as np
 from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.geometry.pcl_filters import cell_means, voxel_grid
 from foretouch.errors import CloudError
+from foretouch.grasp.carry import strain
 from foretouch.grasp.config import HandConfig
 from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
 from foretouch.grasp.hand import UNLIMITED_M
 from foretouch.grasp.hold import APART_M
+from foretouch.grasp.outline import SeenOutline
 from foretouch.grasp.pose import cross
 from foretouch.grasp.unseen import DepthAround
 from foretouch.kernels import Kernel, struct
-from foretouch.types import Bool, Float32, Float64, Grasp, Index, Int64, Plane, WayIn
+from foretouch.types import Bool, Float32, Float64, Floating, Grasp, Int64, Plane, WayIn
 from foretouch.types.grasps import TILTS
 from foretouch.types.scene import Obstacles
 
@@ -46,8 +48,10 @@ _LINES = 17  # in each direction, next to the centre
 _STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
 _NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
 _END_SHARE = 0.03  # of the points of a line that are beyond either end, while lines are compared
-_OUTER_SHARES = np.linspace(0.0025, 0.0125, 21)  # of the chosen line: its contacts are at the mean of these quantiles
-_WIDER, _WIDER_M = 0.11, 0.002  # by how much more an object may be wider than it seems, of its width and besides
+_OUTER_SHARE = 0.006  # the same where the object ends
+# By how much an object may be wider than planned: of its width, along the view, where a side is hidden; and pixels, at its outline.
+_HIDDEN, _PIXELS = 0.3, 2.2
+_STEPS_OF_POINTS = 4.0  # in place of pixels, of points without their image
 _UPRIGHT = 0.25  # of the points, which the camera sees nearly upright, so that their distances are those in the image
 _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
 _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
@@ -75,6 +79,7 @@ _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = np.array([0.0625, 0.25, 0.375, 0.25, 0.0625])
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
+_SAME_M = 0.005  # a line with both ends nearer to those of a refused one is refused, too
 _LEAST_M, _MORE_M = -0.002, 0.004  # of clearance, below which a hand does not come, and above which more is of no use
 _SCARCE_DEG = 100.0  # of tilting that the least clearance is worth; half of it is worth a quarter
 _OTHER_THUMB_DEG = (
@@ -86,7 +91,7 @@ COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
 
 _ANGLE = np.pi * np.arange(_ANGLES) / _ANGLES  # (24,) [rad]
-_OFFSET = _STEP_M * (np.arange(_LINES) - _LINES // 2)  # (17,) [m]
+_OFFSET: Float64 = _STEP_M * (np.arange(_LINES, dtype=np.float64) - _LINES // 2)  # (17,) [m]
 _PLACE_COST = (_OFFSET / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(_ANGLE))[:, None] + _BIAS * _OFFSET
 _TURNS, _STEPS = np.meshgrid(np.arange(-_NEAR, _NEAR + 1), np.arange(-_NEAR, _NEAR + 1), indexing="ij")
 # Means with two neighbours on either side: of the directions, with two of the other end before and after; of the places, whose last ones repeat.
@@ -101,8 +106,10 @@ _MEAN_OF_LINES = np.concatenate(
 class ClosingLines:
     """The lines of one object. Arrays are (24, 17): directions, and places beside the centre."""
 
-    low: Float64  # float64 [m], where the line enters the object, from its middle; NaN where it meets nothing
-    high: Float64  # float64 [m], where it leaves it
+    # (24, 17, 2, 3) float64 [m], both ends by which lines are compared, camera frame; they lie inside of the object (see `_END_SHARE`). The first is
+    # on the side that `PREFERRED` leaves. NaN where the line meets nothing
+    ends: Float64
+    outer: Float64  # (24, 17, 2) float64 [m], places on the line where the object ends
     height: Float64  # float64 [m], above the table
     blocker: Int64  # int64, index of the first obstacle in the way of a finger, or -1
     cost: Float64  # float64, infinite for lines that the hand cannot execute
@@ -121,6 +128,7 @@ class CompletedObject:
         obstacles: What stands around.
         shift: (3,) float64 [m], of the grasps, in the camera's frame.
         neighbours: How many the distances in `spacing` are the mean of.
+        outline: Its outline in the image; None where the image is not known.
 
     Raises:
         CloudError: If no point has a weight.
@@ -135,10 +143,11 @@ class CompletedObject:
         obstacles: Obstacles | None,
         shift: Float64,
         neighbours: int,
+        outline: SeenOutline | None = None,
     ) -> None:
-        self._hand = hand
+        self._hand, self._outline = hand, outline
         # Of an even grid with such distances; on average, an outline lies half a step beyond the outermost points.
-        self._step_m = float(np.quantile(spacing, _UPRIGHT)) / (2.0 / 3.0 * np.sqrt(neighbours / np.pi))
+        self._step_m = _quantile(spacing, _UPRIGHT) / (2.0 / 3.0 * np.sqrt(neighbours / np.pi))
         self._obstacles = obstacles
         self.has_palm = hand.hand.limits_depth
         self._points, self._spacing = points, spacing
@@ -162,7 +171,7 @@ class CompletedObject:
         xyz, weights = np.empty((2 * n, 3)), np.empty(2 * n)
         heights = seen[points.inlier > 0.5, 2]
         top = _quantile(heights, 1.0 - _END_SHARE) if len(heights) else np.nan
-        _complete_object(seen, points.inlier, n, top, shift, self._view(), xyz, weights, result)
+        _complete_object(seen, points.inlier, n, top, shift, self._view, xyz, weights, result)
         size = int(result[0])
         if size < 0:
             raise CloudError("xyz: the points of the object are too far apart")
@@ -170,6 +179,7 @@ class CompletedObject:
         self._xyz = xyz[:size]
         self._weights = weights[:size]
         self._foot, self._shift_m = self._foot + np.append(result[1:], 0.0) @ self._basis, float(shift[2])
+        del self._view  # of the frame before
 
     @cached_property
     def _seen(self) -> tuple[Float64, Float32, Float32]:
@@ -185,8 +195,9 @@ class CompletedObject:
             raise MemoryError("outline")
         return grid, nearest, inside
 
+    @cached_property
     def _view(self) -> Any:
-        """Return the outline in the image and the present pose of the table's frame in the camera's, as the kernels read them.
+        """The outline in the image and the present pose of the table's frame in the camera's, as the kernels read them.
 
         It has no cells if nothing is known to be unseen.
         """
@@ -201,15 +212,17 @@ class CompletedObject:
         )
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
-        """Return (A, n_lines, 8) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
+        """Return (A, n_lines, 10) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
         hand, others = self._hand, self._others
         floor_m, way_m = hand.tip_radius + hand.clearance_m, hand.approach_m + hand.tip_radius
-        settings = np.array([_STEP_M, hand.tip_radius, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
+        settings = np.array(
+            [_STEP_M, hand.tip_radius, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m, _OUTER_SHARE]
+        )
         palm = hand.hand.palm if self.has_palm else np.zeros(2)
         n_tilts = len(TILTS) if self.has_palm else 0
-        measured = np.empty((len(turns), n_lines, 8))
+        measured = np.empty((len(turns), n_lines, 10))
         _closing_lines(
-            *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, self._view()),
+            *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, self._view),
             *(others, len(others), palm, n_tilts, (len(palm) - 2) // 2 - n_tilts, measured),
         )
         return measured
@@ -219,7 +232,7 @@ class CompletedObject:
         turns = np.zeros((_ANGLES, 3))
         turns[:, 0], turns[:, 2] = _ANGLE, np.nan
         measured = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
-        low, high, height, _, blocker, solid, deeper, raised = measured
+        height, blocker = measured[[2, 4]]
         slope, refused = _slopes(measured[:2]), self._refused(measured)
         left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
@@ -228,13 +241,13 @@ class CompletedObject:
             alone, left = left, left & ~refused[name]
         counts["n_too_deep"] = 0
         counts["n_free"] = int(np.count_nonzero(left))
-        every = np.minimum(
-            np.nan_to_num(self._cost(high - low, slope, solid, deeper, raised), nan=_MOST_COST), _MOST_COST
-        )
+        every = np.minimum(np.nan_to_num(self._cost(measured, slope), nan=_MOST_COST), _MOST_COST)
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
-        return ClosingLines(low, high, height, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts, lost)
+        outer, first = np.moveaxis(measured[8:], 0, -1), np.nan_to_num(blocker, nan=-1.0).astype(np.int64)
+        ends = self._ends(self._directions[:, None], _OFFSET, np.moveaxis(measured[:2], 0, -1), height)
+        return ClosingLines(ends, outer, height, first, cost, counts, lost)
 
     def beside_unseen(self, lines: ClosingLines, around: DepthAround) -> ClosingLines:
         """Return lines with what it costs to end beside pixels without depth: the best ones, and as many as that makes the best.
@@ -244,63 +257,54 @@ class CompletedObject:
             around: The depth image around it.
         """
         order = np.argsort(lines.cost, axis=None, kind="stable")[: lines.counts["n_free"]]
-        more, size = np.zeros(lines.cost.shape), _TRIED
+        more, size, ends_of = np.zeros(lines.cost.shape), _TRIED, lines.ends.reshape(-1, 2, 3)
         while len(order):
             chosen, order, size = order[:size], order[size:], 2 * size
-            beyond = around.beside(*self._low_and_high(lines, chosen))
+            ends = ends_of[chosen]
+            beyond = around.beside(ends[:, 0], ends[:, 1])
             if not beyond.any():
                 break
             more.flat[chosen] = _UNSEEN * smoothstep(beyond, 0.0, _UNSEEN_M)
         return replace(lines, cost=lines.cost + more) if more.any() else lines
-
-    def _low_and_high(self, lines: ClosingLines, chosen: Index) -> tuple[Float64, Float64]:
-        """Return (K, 3) lower and upper ends of the lines with these flat indices, camera frame [m]."""
-        angle, line = np.divmod(chosen, _LINES)
-        c, s = np.cos(_ANGLE[angle])[:, None], np.sin(_ANGLE[angle])[:, None]
-        ahead, left, up = self._basis
-        low, high, height = (values.flat[chosen][:, None] for values in (lines.low, lines.high, lines.height))
-        middle = self._foot + _OFFSET[line][:, None] * (c * left - s * ahead) + height * up
-        along = c * ahead + s * left
-        return middle + low * along, middle + high * along
 
     def _refused(self, measured: Float64) -> dict[str, Bool]:
         """Return which lines (8, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
         low, high, height, top, blocker = measured[:5]
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius),
-            "n_too_wide": high - low > self._hand.opening,
+            "n_too_wide": self._width(measured) > self._hand.opening,
             "n_too_thin": high - low < _THIN_M,
             "n_blocked": blocker >= 0.0,
         }
 
-    def _cost(self, width: Float64, slope: Float64, solid: Float64, deeper: Float64, raised: Float64) -> Float64:
-        """Return what speaks against each line, with the slopes of both ends (2, ...), how certainly the object is there, and the last two of `_close`."""
-        cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
+    def _width(self, measured: Float64) -> Float64:
+        """Return the width of lines (10, ...) of `_close` that counts for the opening: for jaws from one end of the object to the other, since they meet what is wider."""
+        low, high = measured[8:] if self._hand.hand.is_jaw else measured[:2]
+        return np.asarray(high - low + (self._step_m if self._hand.hand.is_jaw else 0.0), np.float64)
+
+    def _cost(self, measured: Float64, slope: Float64) -> Float64:
+        """Return what speaks against each line (10, ...) of `_close`, with the slopes of both ends (2, ...)."""
+        low, high, _, _, _, solid, deeper, raised = measured[:8]
+        cost = (high - low) / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
         cost += _PLACE_COST + _HOLLOW * (1.0 - solid)
         cost += _DEEP * smoothstep(deeper, 0.0, _DEEPER_M) + (raised / _RAISED_M) ** 2
         opening_m, almost = self._hand.opening, _ALMOST_HAND if self.has_palm else _ALMOST
-        return np.asarray(cost + _WIDE * smoothstep(width, almost * opening_m, opening_m), np.float64)
+        return np.asarray(cost + _WIDE * smoothstep(self._width(measured), almost * opening_m, opening_m), np.float64)
 
-    def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """Return both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves.
-
-        They are those by which lines are compared, which lie inside of the object (see `_END_SHARE`).
+    def contacts(self, lines: ClosingLines, angle: int, line: int) -> Float64:
+        """Return (2, 3) the contacts of a line [m], where the object ends, in the order of its ends.
 
         Args:
             lines: The lines of the object.
             angle: Number of its direction.
             line: Number of its place.
         """
-        values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
-        return self._ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
+        return self._contacts(
+            self._directions[angle], _OFFSET[line], lines.outer[angle, line], float(lines.height[angle, line])
+        )
 
-    def outer_contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """Return the contacts of a line where the object ends, and no farther apart than the hand opens."""
-        values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
-        return self._outer_ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
-
-    def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """Return the outer contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused.
+    def refined(self, lines: ClosingLines, angle: int, line: int) -> Float64:
+        """Return the contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused.
 
         Args:
             lines: The lines of the object.
@@ -319,33 +323,41 @@ class CompletedObject:
         beside_m = _STEP_M * (line - _LINES // 2 + float((weight * _STEPS).sum()))
         measured = self._close(np.array([[turn, beside_m, float((around * heights).sum() / around.sum())]]), 1)[0, 0]
         if any(refused.any() for refused in self._refused(measured).values()):
-            return self.outer_contacts(lines, angle, line)
-        return self._outer_ends(turn, beside_m, *measured[:3].tolist())
+            return self.contacts(lines, angle, line)
+        return self._contacts(self._axes(np.array(turn)), beside_m, measured[8:], float(measured[2]))
 
-    def _outer_ends(
-        self, turn: float, beside_m: float, low: float, high: float, height: float
-    ) -> tuple[Float64, Float64]:
-        """Move the ends of a line outwards to where the object ends, but no farther apart than the hand opens.
-
-        It ends half a step of the grid of points beyond the outermost ones, at the height of a fingertip and above.
-        """
-        c, s = np.cos(turn), np.sin(turn)
-        x, y, z = self._xyz.T
-        beside = 1.0 - np.abs(c * y - s * x - beside_m) / (2.0 * _STEP_M)
-        near = (beside > 0.0) & (z > height - self._hand.tip_radius) & (self._weights > 0.0)
-        along, weights = c * x[near] + s * y[near], beside[near] * self._weights[near]
-        if len(along):
-            low = min(low, _outermost(along, weights) - 0.5 * self._step_m)
-            high = max(high, 0.5 * self._step_m - _outermost(-along, weights))
+    def _contacts(self, axes: Float64, beside_m: float, outer: Float64, height: float) -> Float64:
+        """Return the contacts of a line where the object ends by its points or by its outline, but no farther apart than the hand opens."""
+        away = self._away(axes[0])  # an end that faces the camera is no outline
+        low = float(outer[0]) - 0.5 * self._step_m * (1.0 - max(away, 0.0))
+        high = float(outer[1]) + 0.5 * self._step_m * (1.0 - max(-away, 0.0))
+        if self._outline is not None:
+            origin = self._foot + beside_m * axes[1] + height * axes[2]
+            (first, last), (share, other) = self._outline.ends(axes, origin, self._hand.tip_radius)
+            if not np.isnan(first):
+                low, high = first + share * (min(first, low) - first), last + other * (max(last, high) - last)
         beyond = max(high - low - (1.0 - 1e-9) * self._hand.opening, 0.0) / 2.0  # less than it, also rounded
-        return self._ends(turn, beside_m, low + beyond, high - beyond, height)
+        return self._ends(axes, np.array(beside_m), np.array([low + beyond, high - beyond]), np.array(height))
 
-    def _ends(self, turn: float, beside_m: float, low: float, high: float, height: float) -> tuple[Float64, Float64]:
-        along = np.cos(turn) * self._basis[0] + np.sin(turn) * self._basis[1]
-        beside = np.cos(turn) * self._basis[1] - np.sin(turn) * self._basis[0]
-        middle = self._foot + beside_m * beside + height * self._basis[2]
-        ends = middle + low * along, middle + high * along
-        return _in_image_order(ends, along)
+    @cached_property
+    def _directions(self) -> Float64:
+        """(24, 3, 3), see `_axes`, of all directions in which lines are compared."""
+        return self._axes(_ANGLE)
+
+    def _axes(self, turn: Float64) -> Float64:
+        """Return (..., 3, 3) rows: along lines with these directions (...) [rad], beside them, and up; camera frame."""
+        axes = np.empty((*turn.shape, 3, 3))
+        c, s, (ahead, left, up) = np.cos(turn)[..., None], np.sin(turn)[..., None], self._basis
+        axes[..., 0, :], axes[..., 1, :], axes[..., 2, :] = c * ahead + s * left, c * left - s * ahead, up
+        return axes
+
+    def _ends(self, axes: Float64, beside_m: Float64, between: Float64, height: Float64) -> Float64:
+        """Return (..., 2, 3) ends of lines, which are `between` (..., 2) along them [m]; the first is on the left of the image."""
+        along, beside, up = axes[..., 0, :], axes[..., 1, :], axes[..., 2, :]
+        middle = self._foot + beside_m[..., None] * beside + height[..., None] * up
+        ends = middle[..., None, :] + between[..., None] * along[..., None, :]
+        first = (along @ PREFERRED >= 0.0)[..., None, None]
+        return np.asarray(np.where(first, ends, ends[..., ::-1, :]), np.float64)
 
     @cached_property
     def _own(self) -> Float64:
@@ -359,6 +371,24 @@ class CompletedObject:
         if self._obstacles is None:
             return np.empty((0, 3))
         return np.ascontiguousarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
+
+    def executed(self, lines: ClosingLines, angle: int, line: int, refine: bool) -> tuple[Float64, WayIn | None, bool]:
+        """Return the contacts of a line (2, 3) and what `way_in` finds for them; of the refined line, where the hand comes there, too.
+
+        Args:
+            lines: The lines of the object.
+            angle: Number of its direction.
+            line: Number of its place.
+            refine: Whether the refined line is wanted.
+        """
+        ends = self.contacts(lines, angle, line) if self.has_palm or not refine else self.refined(lines, angle, line)
+        way, blocked = self.way_in(*ends)
+        if way is not None and self.has_palm and refine:
+            refined = self.refined(lines, angle, line)
+            better, _ = self.way_in(*refined)
+            if better is not None:
+                return refined, better, False
+        return ends, way, blocked
 
     def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:
         """Find how the hand comes to a grasp.
@@ -403,9 +433,31 @@ class CompletedObject:
         pose[:3, :3], pose[:3, 3] = np.stack([x, cross(z, x), z], axis=1), (g1 + g2) / 2.0
         joints = tuple(joint.name for joint in hand.config.joints)
         name: Literal["g1", "g2"] = "g2" if thumb else "g1"
-        at_most_m = (1.0 + _WIDER) * width + _WIDER_M
+        at_most_m = self._width_at_most_m(g1, g2)
         way = WayIn(z, name, float(depth_m), clearances, pose @ at.tool, at.posture, joints, self._hand.name, at_most_m)
         return way, False
+
+    def _width_at_most_m(self, g1: Float64, g2: Float64) -> float:
+        """Return an upper bound of the object's width between two contacts, which holds for 95 % of first grasps [m]."""
+        edges_m = _STEPS_OF_POINTS * self._step_m
+        if self._outline is not None:
+            edges_m = _PIXELS * self._outline.around.pixel_m(float(g1[2] + g2[2]) / 2.0)
+        return float(np.linalg.norm(g2 - g1) + _HIDDEN * abs(self._away(g2 - g1)) + edges_m)
+
+    def _away(self, along: Float64) -> float:
+        """Return how far a vector (3,) goes away from the camera; 0 where that is not known."""
+        return float(along @ self._foot) / float(np.linalg.norm(self._foot)) if self._in_view else 0.0
+
+    def strain(self, grasp: Grasp, mass_kg: float, friction: float) -> float:
+        """Compute how much friction a grasp needs to carry the object, over what it has (see `foretouch.grasp.carry`).
+
+        Args:
+            grasp: A grasp, camera frame.
+            mass_kg: Of the object.
+            friction: Coefficient between fingertips and object.
+        """
+        ends = (np.stack([grasp.g1, grasp.g2]) - self._foot) @ self._basis.T
+        return strain(ends, self._xyz, self._weights, mass_kg, friction, self._hand.force_n)
 
     def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
         """Find the direction and the place of the line that is closest to a grasp.
@@ -453,17 +505,10 @@ def _base(lowest_m: float) -> float:
     return lowest_m if lowest_m < 0.0 or lowest_m > _FLOATING_M else 0.0
 
 
-def _quantile(values: Float64, share: float) -> float:
+def _quantile(values: Floating, share: float) -> float:
     """Return a quantile that is one of the values, in a tenth of the time of np.quantile."""
     k = int(share * (len(values) - 1))
     return float(np.partition(values, k)[k])
-
-
-def _outermost(along: Float64, weights: Float64) -> float:
-    """Return the mean of the lowest quantiles of (N,) places [m] with weights, which moves little where single points do."""
-    order = np.argsort(along, kind="stable")
-    reached = np.cumsum(weights[order])
-    return float(np.interp(_OUTER_SHARES * reached[-1], reached - 0.5 * weights[order], along[order]).mean())
 
 
 def _slopes(ends: Float64) -> Float64:
@@ -479,9 +524,7 @@ def _slopes(ends: Float64) -> Float64:
     return np.where(np.isnan(slope), 1.0, slope)
 
 
-def best_grasps(
-    completed: CompletedObject, lines: ClosingLines, count: int
-) -> list[tuple[tuple[Float64, Float64], WayIn, float]]:
+def best_grasps(completed: CompletedObject, lines: ClosingLines, count: int) -> list[tuple[Float64, WayIn, float]]:
     """Choose lines to which the hand can come, best first; each differs from all better ones by a contact.
 
     Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`. The contact of the thumb
@@ -493,28 +536,32 @@ def best_grasps(
         count: Largest number of grasps.
 
     Returns:
-        Contacts, way in and cost of each.
+        Contacts (2, 3) [m], way in and cost of each.
     """
     order = np.argsort(lines.cost, axis=None, kind="stable")[: lines.counts["n_free"]]
-    chosen: list[tuple[tuple[Float64, Float64], WayIn, float]] = []
-    taken = np.empty((0, 2, 3))
+    chosen: list[tuple[Float64, WayIn, float]] = []
+    taken, refused = np.empty((0, 2, 3)), np.empty((0, 2, 3))
     for angle, line in zip(*np.unravel_index(order, lines.cost.shape), strict=True):
         if len(chosen) == count:
             break
-        ends = completed.contacts(lines, int(angle), int(line))
-        if (np.linalg.norm(taken - np.stack(ends), axis=2).max(axis=1, initial=0.0) < APART_M).any():
+        own = lines.ends[angle, line]
+        if _near(own, taken, APART_M) or _near(own, refused, _SAME_M):
             continue
-        taken = np.concatenate([taken, np.stack(ends)[None]])
-        find = completed.outer_contacts if chosen else completed.refined
-        ends = find(lines, int(angle), int(line))
-        way, blocked = completed.way_in(*ends)
+        ends, way, blocked = completed.executed(lines, int(angle), int(line), refine=not chosen)
         if way is None:
             lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
+            refused = np.concatenate([refused, own[None]])
         else:
             if way.thumb_at == "g2":
                 ends, way = ends[::-1], way.with_contacts_swapped()
+            taken = np.concatenate([taken, own[None]])
             chosen.append((ends, way, float(lines.cost[angle, line])))
     return chosen
+
+
+def _near(ends: Float64, others: Float64, distance_m: float) -> bool:
+    """Whether both ends (2, 3) are within a distance of the ends of one of (K, 2, 3) others."""
+    return bool((np.linalg.norm(others - ends, axis=2).max(axis=1, initial=0.0) < distance_m).any())
 
 
 def as_in_image(grasp: Grasp) -> tuple[Float64, Float64]:
@@ -523,12 +570,7 @@ def as_in_image(grasp: Grasp) -> tuple[Float64, Float64]:
     Args:
         grasp: A grasp, camera frame.
     """
-    return _in_image_order((grasp.g1, grasp.g2), grasp.g2 - grasp.g1)
-
-
-def _in_image_order(ends: tuple[Float64, Float64], along: Float64) -> tuple[Float64, Float64]:
-    """Return the ends of a line of direction `along`, that on the left of the image first."""
-    return ends if along @ PREFERRED >= 0.0 else (ends[1], ends[0])
+    return (grasp.g1, grasp.g2) if (grasp.g2 - grasp.g1) @ PREFERRED >= 0.0 else (grasp.g2, grasp.g1)
 
 
 def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[int, ...]:

@@ -85,6 +85,10 @@ class HandConfig(Settings):
         0.03, "Length of the way in, from outside along the line, on which nothing may stand", bounds=(0.0, 0.3)
     )
 
+    force_n: float = setting(
+        5.0, "Force with which each fingertip presses; it counts where object.mass_kg is given", bounds=(0.1, 1000.0)
+    )
+
     def __post_init__(self) -> None:
         super().__post_init__()
         try:
@@ -106,6 +110,20 @@ class HandConfig(Settings):
     def tip_radius(self) -> float:
         """Radius of a fingertip where it touches [m]."""
         return self.hand.config.tip_radius_m if self.tip_radius_m is None else self.tip_radius_m
+
+
+@dataclass(frozen=True, kw_only=True)
+class CarriedConfig(Settings):
+    """What is known of the object besides its image."""
+
+    mass_kg: float | None = setting(
+        None,
+        "Mass of the object: grasps that cannot carry it get the flag cannot_carry; absent: not known",
+        bounds=(0.001, 100.0),
+    )
+    friction: float = setting(
+        0.8, "Coefficient between fingertips and object; it counts where the mass is given", bounds=(0.05, 5.0)
+    )
 
 
 DEFAULT_HAND = HandConfig()

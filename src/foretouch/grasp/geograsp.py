@@ -21,6 +21,7 @@ from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neig
 from foretouch.cloud.timing import timed
 from foretouch.errors import CloudError, FrameError, GraspError
 from foretouch.grasp.axis import find_axis
+from foretouch.grasp.carry import CANNOT_CARRY
 from foretouch.grasp.completed import (
     COMPLETED_POINTS,
     MAY_NOT_FIT,
@@ -31,9 +32,10 @@ from foretouch.grasp.completed import (
     blocking_objects,
     why_no_line,
 )
-from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig
+from foretouch.grasp.config import DEFAULT_HAND, CarriedConfig, GeoGraspConfig, HandConfig
 from foretouch.grasp.frame import object_frame, weigh_points
 from foretouch.grasp.hold import APART_M, HeldGrasp, keep_held
+from foretouch.grasp.outline import SeenOutline
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
@@ -77,12 +79,14 @@ class PlanOptions(TypedDict, total=False):
     rng: np.random.Generator | None  # draws `slide_m` from a part of the object's extent (`slide_fraction`) instead
     pixels: Integer | None  # (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it
     image_shape: tuple[int, int] | None  # (H, W) of that image
+    object_id: str  # that the grasps name; by default none
     limits: ObjectLimits  # range and size of objects; others have no grasp
     # Best grasp of this object in the previous cloud of a stream. Method "completed" returns it again, first and in the place
     # of its twin, unless another one is better by more than `hold`, on three clouds in a row.
     held: HeldGrasp | None
     hold: float  # in units of the score; by default 0
     hand: HandConfig  # what the hand can execute; method "completed" only
+    carried: CarriedConfig  # what is known of the object besides; method "completed" only
     obstacles: Obstacles | None  # what stands around the object; method "completed" only
     around: DepthAround | None  # the depth image around the object; method "completed" only
 
@@ -124,7 +128,7 @@ def plan_grasps(cloud: Cloud, plane: Plane, config: GeoGraspConfig, **options: U
         plan.reason = str(err)
         plan.status = "unknown_frame" if isinstance(err, FrameError) else "no_grasp"
     plan.ms["total"] = sum(plan.ms.values())
-    plan.grasps = plan.grasps.replace(status=plan.status, reason=plan.reason)
+    plan.grasps = plan.grasps.replace(status=plan.status, reason=plan.reason, object_id=options.get("object_id", ""))
     return plan
 
 
@@ -193,8 +197,7 @@ def _plan_completed(
 ) -> None:
     """Plan by the method of `foretouch.grasp.completed`."""
     counts = plan.counts
-    rng = options.get("rng")
-    held = options.get("held")
+    rng, held = options.get("rng"), options.get("held")
     hand, obstacles = options.get("hand", DEFAULT_HAND), options.get("obstacles")
     with timed(plan.ms, "outliers"):
         downsampled = points.every_kth_pixel(min(config.max_points or COMPLETED_POINTS, COMPLETED_POINTS))
@@ -211,10 +214,11 @@ def _plan_completed(
             kept = xyz[weighted.inlier > 0.0]
             plan.slide_m = _random_slide(kept, plan.centroid, axis, config.slide_fraction, rng)
     with timed(plan.ms, "completion"):
-        completed = CompletedObject(
-            weighted, spacing, plane, hand, obstacles, plan.slide_m * axis, neighbours=config.neighbours
-        )
         around = options.get("around")
+        outline, shift = SeenOutline.of(points, around), plan.slide_m * axis
+        completed = CompletedObject(
+            *(weighted, spacing, plane, hand, obstacles, shift), neighbours=config.neighbours, outline=outline
+        )
         counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
         lines = free = completed.lines()
@@ -236,7 +240,7 @@ def _plan_completed(
             grasps, plan.outdone = keep_held(held, held_score, plan.grasps, options.get("hold", 0.0))
             plan.grasps = grasps[: config.count]
         looked_at = lines is not free or len(plan.grasps) > 1 or held is not None
-        plan.grasps = _flagged(plan.grasps, hand, around if looked_at else None)
+        plan.grasps = _flagged(plan.grasps, completed, around if looked_at else None, options)
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
         plan.status, plan.reason = "ok", f"the best of {counts['n_free']} possible grasps ({counts['n_lines']} tried)"
@@ -247,12 +251,18 @@ def _plan_completed(
         plan.reason = why_no_line(lines, hand, obstacles)
 
 
-def _flagged(grasps: Grasps, hand: HandConfig, around: DepthAround | None) -> Grasps:
-    """Return grasps with the flags of those that may not fit the hand, or have a contact beside pixels without depth."""
+def _flagged(grasps: Grasps, completed: CompletedObject, around: DepthAround | None, options: PlanOptions) -> Grasps:
+    """Return grasps with the flags of those that may not fit the hand, have a contact beside pixels without depth, or cannot carry the object."""
     if not grasps:
         return grasps
-    tight = [way.width_at_most_m > hand.opening for way in grasps.way]
-    beside = len(grasps) * [False] if around is None else around.beside(grasps.g1, grasps.g2) > 0.0
-    marks = {MAY_NOT_FIT: tight, BESIDE_UNSEEN: beside}
+    hand, carried = options.get("hand", DEFAULT_HAND), options.get("carried", CarriedConfig())
+    mass_kg, none = carried.mass_kg, len(grasps) * [False]
+    marks = {
+        MAY_NOT_FIT: [way.width_at_most_m > hand.opening for way in grasps.way],
+        BESIDE_UNSEEN: none if around is None else around.beside(grasps.g1, grasps.g2) > 0.0,
+        CANNOT_CARRY: none
+        if mass_kg is None
+        else [completed.strain(one, mass_kg, carried.friction) > 1.0 for one in grasps],
+    }
     flags = [tuple(flag for flag, which in marks.items() if which[k]) for k in range(len(grasps))]
-    return grasps.replace(flags=objects(flags))
+    return grasps if flags == grasps.flags.tolist() else grasps.replace(flags=objects(flags))

@@ -11,7 +11,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from foretouch.types import Cloud, Float64
+from foretouch.types import Bool, Cloud, Float32, Float64, Index, Int64
 from foretouch.types.scene import Object
 
 BESIDE_UNSEEN: Final = "beside_unseen"
@@ -22,6 +22,8 @@ _STEPS: Final = 30  # in which that is looked at
 _BASELINE_M: Final = 0.1  # of the widest stereo camera for tables
 _BEHIND_M: Final = 0.005  # behind a place, from where on the camera sees through it
 _SPARE_M, _SPARE_PIXELS = 0.008, 2.0  # of a band that are expected, too: edges have no depth
+_BEYOND: Final = np.arange(1.0, 4.0)  # pixels beyond the last one: of an edge, two mix both depths, one on either side
+_STEEP: Final = 2.0  # slope of a surface against the image, from which on its depth counts as an edge
 _SAMPLED: Final = 256  # points of an object, of which the projection of the camera follows
 _FEWEST: Final = 12  # of them
 
@@ -43,17 +45,16 @@ class DepthAround:
         if target.image is None or target.image_shape is None or len(target.pixels) < _FEWEST:
             return None
         few = slice(None, None, max(1, len(target.pixels) // _SAMPLED))
-        x, y, z = target.cloud.xyz[few].T.astype(np.float64)
-        row, column = np.divmod(target.pixels[few], target.image_shape[1])
-        camera = []
-        for ray, at in ((x / z, column), (y / z, row)):
-            centred = ray - ray.mean()
-            spread = float(centred @ centred)
-            if not spread > 0.0:
-                return None
-            focal = float(centred @ at) / spread
-            camera.append((focal, float(at.mean()) - focal * float(ray.mean())))
-        return cls(target.image, np.array(camera))
+        xyz, pixels, width = target.cloud.xyz[few].astype(np.float64), target.pixels[few], target.image_shape[1]
+        rays, row = xyz[:, :2].T / xyz[:, 2], pixels // width
+        at = np.array([pixels - width * row, row], np.float64)
+        ray, place = rays.mean(axis=1), at.mean(axis=1)
+        centred = rays - ray[:, None]
+        spread = (centred * centred).sum(axis=1)
+        if not (spread > 0.0).all():
+            return None
+        focal = (centred * at).sum(axis=1) / spread
+        return cls(target.image, np.stack([focal, place - focal * ray], axis=1))
 
     def beyond_m(self, contacts: Float64, outwards: Float64) -> Float64:
         """Measure how far pixels without depth reach outwards from contacts, beyond what is expected beside any object.
@@ -67,10 +68,7 @@ class DepthAround:
         """
         step_m = _REACH_M / _STEPS
         way = contacts[:, None] + np.arange(_STEPS)[:, None] * step_m * outwards[:, None]
-        z, (across, down) = way[..., 2], self.camera
-        columns = np.rint(way[..., 0] / z * across[0] + across[1]).astype(np.intp)
-        rows = np.rint(way[..., 1] / z * down[0] + down[1]).astype(np.intp)
-        depth = self.image.depths(rows, columns)
+        z, across, depth = way[..., 2], self.camera[0], self._depths(way)
         nothing = np.isnan(depth)
         through = depth > z + _BEHIND_M  # also what is out of view
         number = np.arange(_STEPS)
@@ -83,6 +81,41 @@ class DepthAround:
         expected = np.where(last < _STEPS, _BASELINE_M * np.abs(1.0 - near / far), 0.0)
         expected += _SPARE_M + _SPARE_PIXELS * near / across[0]
         return np.where(first < _STEPS, np.maximum((last - first) * step_m - expected, 0.0), 0.0)
+
+    def _depths(self, places: Float64) -> Float32:
+        """Return the depth [m] in the pixels of places (..., 3); NaN where there is none, and infinity out of view."""
+        return self.image.depths(*self._pixels(places))
+
+    def _pixels(self, places: Float64) -> tuple[Index, Index]:
+        """Return row and column of places (..., 3)."""
+        (f_x, c_x), (f_y, c_y) = self.camera.tolist()
+        z = places[..., 2]
+        rows = np.rint(places[..., 1] / z * f_y + c_y).astype(np.intp)
+        return rows, np.rint(places[..., 0] / z * f_x + c_x).astype(np.intp)
+
+    def pixel_m(self, depth_m: float) -> float:
+        """Return the width of a pixel at a depth [m]."""
+        return depth_m / float(np.abs(self.camera[:, 0]).mean())
+
+    def edges(self, last: Float64, outwards: Float64, own: Bool) -> tuple[Bool, Int64]:
+        """Find which points are on the outline of an object, and how many pixels beyond them are neither its own nor of the background.
+
+        Args:
+            last: (..., 3) float64 [m], points of the object, camera frame.
+            outwards: (..., 3) float64 of unit length.
+            own: (H, W) bool, pixels of the object.
+
+        Returns:
+            (...) bool, whether the next pixel is not the object's; and (...) int64 number of pixels, 2 at most.
+        """
+        step_m = self.pixel_m(float(last[..., 2].mean()))
+        rows, columns = self._pixels(last[..., None, :] + _BEYOND[:, None] * step_m * outwards[..., None, :])
+        depth = self.image.depths(rows, columns)
+        with np.errstate(invalid="ignore"):  # of two pixels out of view
+            settled = np.abs(depth[..., 1:] - depth[..., :-1]) < _BEHIND_M + _STEEP * step_m
+        first, second = ~settled[..., 0], ~settled[..., 1]
+        seen = own[np.minimum(np.maximum(rows, 0), len(own) - 1), np.minimum(np.maximum(columns, 0), own.shape[1] - 1)]
+        return ~seen.all(axis=-1), first * (1 + second)
 
     def beside(self, g1: Float64, g2: Float64) -> Float64:
         """Measure the same of grasps, at the contact where it is farther.

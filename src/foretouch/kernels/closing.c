@@ -16,9 +16,10 @@
 #define MOST 2.5        /* up to which */
 #define OUTWARDS 0.75   /* shares of a line by which its ends move outwards: half of what these means leave out */
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
-#define FOUND 8         /* values of a line */
+#define FOUND 10        /* values of a line */
 #define COLUMNS 64      /* of two steps across a direction, for the depth of the object */
 #define TILTS 16        /* angles of a palm, at most */
+#define TOPS_M 0.004f    /* of the grid over the object whose heights the palm must not meet */
 #define EDGE_M 0.012    /* below the top of a line, at least, where a raised line closes */
 #define FIT_M 0.004     /* around a limit of the palm, over which it fades */
 #define UNDER_M 0.004   /* wider than planned, for the free depth of the hand */
@@ -84,6 +85,49 @@ void outline(const double *points, int64_t n, const double *grid, int64_t rows, 
     widen(inside, other, rows, columns, 1.0f);
     widen(inside, other, rows, columns, -1.0f);
     free(other);
+}
+
+/* The outermost points of an object on either side of a line, in rows that are one pixel wide.
+ *
+ * points (n, 3). frame (12): three directions of unit length, along the line, beside it and up, and a place on it. settings: how far the first and the
+ * last row are beside it, radius of a fingertip, whose lower points do not count, and width of a row. found (4, 2, rows), the lower side first: number
+ * of the outermost point of a row, -1 without one; its places along the line and beside it; and the mean place along it of those of the row that are
+ * at its height and within two pixels of that, NaN without one. */
+void outline_rows(const float *points, int64_t n, const double *frame, const double *settings, int64_t rows, double *found) {
+    const double reach = settings[0], tip = settings[1], width = settings[2];
+    double *number = found, *farthest = found + 2 * rows, *apart = found + 4 * rows, *face = found + 6 * rows;
+    double *counts = calloc((size_t)rows * 2, sizeof(double));
+    for (int64_t i = 0; i < 2 * rows; i++) {
+        number[i] = -1.0, farthest[i] = apart[i] = NAN, face[i] = 0.0;
+    }
+    for (int64_t pass = 0; pass < 2 && counts; pass++) {
+        for (int64_t i = 0; i < n; i++) {
+            const double x = points[3 * i] - frame[9], y = points[3 * i + 1] - frame[10], z = points[3 * i + 2] - frame[11];
+            const double beside = x * frame[3] + y * frame[4] + z * frame[5];
+            if (!(fabs(beside) < reach)) {
+                continue;
+            }
+            const double up = x * frame[6] + y * frame[7] + z * frame[8], along = x * frame[0] + y * frame[1] + z * frame[2];
+            const int64_t row = (int64_t)((beside + reach) / width);
+            if (!(up > -tip) || row >= rows) {
+                continue;
+            }
+            for (int64_t side = 0; side < 2; side++) {
+                const int64_t at = side * rows + row;
+                const int farther = side ? along > farthest[at] : along < farthest[at];
+                if (pass == 0 && (number[at] < 0.0 || farther)) {
+                    number[at] = (double)i, farthest[at] = along, apart[at] = beside;
+                }
+                if (pass == 1 && fabs(up) < tip / 2.0 && fabs(along - farthest[at]) < 2.0 * width) {
+                    face[at] += along, counts[at] += 1.0;
+                }
+            }
+        }
+    }
+    for (int64_t i = 0; i < 2 * rows; i++) {
+        face[i] = counts && counts[i] > 0.0 ? face[i] / counts[i] : NAN;
+    }
+    free(counts);
 }
 
 /* How certainly a place of the table's frame is hidden by the object, 0 ... 1, around a depth behind its nearest point on the ray. */
@@ -352,25 +396,71 @@ typedef struct {
     const double *lifts, *free; /* lowest height of a line at each angle, upright first; free depths by width, of the middle after those beside it */
     int64_t n_tilts, n_free;
     double free_step, across;   /* from one width to the next; half the extent across the fingers that counts */
-    float tops[2][COLUMNS];     /* second highest point in each column across the direction, beside the middle and in it; the second half of the columns is beyond the centre */
+    float tops[2][COLUMNS];     /* the highest places in each column across the direction, beside the middle and in it; the second half of the columns is beyond the centre */
     int64_t from, to;
     double cosine[TILTS], sine[TILTS], inverse[TILTS]; /* of the angles from straight above; 1 / sine, 0 where it is upright */
 } Palm;
 
-/* The highest columns across a direction; `beside` in steps, shifted; `place` along the direction, the middle between two. */
-INLINE void find_tops(Palm *palm, const float *beside, const float *place, const float *level, int64_t n, float shift, float first, float last) {
-    float highest[2][COLUMNS];
-    memset(highest, 0, sizeof(highest)), memset(palm->tops, 0, sizeof(highest));
+/* Shares of two neighbours in what lies between the first and the second by `part` of their distance: those in the outer half fade out. */
+INLINE void fading(float part, float *shares) {
+    shares[0] = part < 0.5f ? 1.0f : 2.0f - 2.0f * part, shares[1] = part > 0.5f ? 1.0f : 2.0f * part;
+}
+
+/* The second highest point (levels) around each cell of a grid over n points (x, y, level) with weights; points with a small weight fade out, as those
+ * in the outer half of a cell's neighbourhood do, so that no point is taken or left at once.
+ *
+ * tops (3, 4 n): x, y and level of the cells that are not empty; returns their number, 0 without memory. */
+INLINE int64_t height_map(const float *x, const float *y, const float *level, const float *weight, int64_t n, float *tops) {
+    float low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
+    for (int64_t i = 0; i < n; i++) {
+        low[0] = x[i] < low[0] ? x[i] : low[0], high[0] = x[i] > high[0] ? x[i] : high[0];
+        low[1] = y[i] < low[1] ? y[i] : low[1], high[1] = y[i] > high[1] ? y[i] : high[1];
+    }
+    const float corner[2] = {floorf(low[0] / TOPS_M), floorf(low[1] / TOPS_M)}; /* of a grid that does not move with the points */
+    const int64_t columns = (int64_t)(high[1] / TOPS_M - corner[1]) + 2, rows = (int64_t)(high[0] / TOPS_M - corner[0]) + 2;
+    float *cells = n ? calloc((size_t)(rows * columns * 2), sizeof(float)) : NULL;
+    int64_t size = 0;
+    if (!cells) {
+        return 0;
+    }
+    for (int64_t i = 0; i < n; i++) {
+        const float row = x[i] / TOPS_M - corner[0], column = y[i] / TOPS_M - corner[1];
+        const float certain = weight[i] < 0.5f ? 2.0f * weight[i] * level[i] : level[i];
+        float down[2], right[2];
+        fading(row - (float)(int64_t)row, down), fading(column - (float)(int64_t)column, right);
+        for (int64_t k = 0; k < 4; k++) {
+            float *cell = cells + 2 * (((int64_t)row + k / 2) * columns + (int64_t)column + k % 2);
+            const float own = certain * down[k / 2] * right[k % 2], lower = own < cell[0] ? own : cell[0];
+            cell[0] = own > cell[0] ? own : cell[0], cell[1] = lower > cell[1] ? lower : cell[1];
+        }
+    }
+    for (int64_t cell = 0; cell < rows * columns; cell++) {
+        if (cells[2 * cell + 1] > 0.0f) {
+            tops[size] = ((float)(cell / columns) + corner[0]) * TOPS_M, tops[4 * n + size] = ((float)(cell % columns) + corner[1]) * TOPS_M;
+            tops[8 * n + size++] = cells[2 * cell + 1];
+        }
+    }
+    free(cells);
+    return size;
+}
+
+/* The highest columns across a direction, from `n` cells of the map of heights (3, stride), x and y in steps; those within `half` of the middle of the line
+ * are apart from the others. */
+INLINE void find_tops(Palm *palm, const float *tops, int64_t stride, int64_t n, float c, float s, float step, float middle, float half) {
+    memset(palm->tops, 0, sizeof(palm->tops));
     palm->from = COLUMNS, palm->to = 0;
-    for (int64_t i = 0; i < n; i += 2) { /* half of the points are sufficient */
-        const float at = (beside[i] + shift) / 2.0f + (float)(COLUMNS / 2);
-        if (at >= 0.0f && at < (float)COLUMNS) {
-            const int64_t j = (int64_t)at;
-            const int64_t k = place[i] >= first && place[i] <= last;
-            const float lower = level[i] < highest[k][j] ? level[i] : highest[k][j];
-            highest[k][j] = level[i] > highest[k][j] ? level[i] : highest[k][j];
-            palm->tops[k][j] = lower > palm->tops[k][j] ? lower : palm->tops[k][j];
-            palm->from = j < palm->from ? j : palm->from, palm->to = j > palm->to ? j : palm->to;
+    for (int64_t i = 0; i < n; i++) {
+        const float x = tops[i], y = tops[stride + i], level = tops[2 * stride + i];
+        const float at = (c * y - s * x) / (2.0f * step) + (float)(COLUMNS / 2) - 0.5f;
+        if (at >= 0.0f && at < (float)(COLUMNS - 1)) {
+            const int64_t left = (int64_t)at, k = fabsf(c * x + s * y - middle) <= half;
+            float shares[2];
+            fading(at - (float)left, shares);
+            for (int64_t side = 0; side < 2; side++) {
+                float *top = &palm->tops[k][left + side];
+                *top = level * shares[side] > *top ? level * shares[side] : *top;
+            }
+            palm->from = left < palm->from ? left : palm->from, palm->to = left + 1 > palm->to ? left + 1 : palm->to;
         }
     }
 }
@@ -444,15 +534,16 @@ INLINE double fit_palm(const Palm *palm, double offset, double width, double top
  * points (n, 3), weights (n): of the object, in the table's frame (z = 0), x and y from the axis, |x| and |y| below 0.6 m.
  * turns (angles, 3): direction of the lines [rad], how far the middle one is beside the axis, and their height, or NaN if it follows from the points.
  * settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal part of the
- * direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
+ * direction of view, shift of the height from the middle, length of the way in, share of the points beyond either outer end. others (m, 3): what
+ * stands around.
  * palm: half the extent across the fingers that counts, and the step of its widths; then n_tilts angles, upright first, the lowest height of a line at
  * each, and the n_free free depths by width, beside the middle half of a line and over it; n_free is 0 for a hand without a palm.
- * found (angles, lines, 8): both ends, height, top, the first of `others` in the way of a finger, or -1, how certainly the object is at both ends,
- * 0 ... 1, how much deeper the object is than the hand, and how far the line was raised for it. The first two, the fifth and the sixth are NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
+ * found (angles, lines, 10): both ends, height, top, the first of `others` in the way of a finger, or -1, how certainly the object is at both ends,
+ * 0 ... 1, how much deeper the object is than the hand, how far the line was raised for it, and both outer ends. The first two, the fifth, the sixth and the last two are NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
 VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
                               int64_t lines, const double *settings, const Outline *seen, const double *others, int64_t m, const double *palm, int64_t n_tilts, int64_t n_free, double *found) {
     const double step = settings[0], tip = settings[1], floor_m = settings[2], share = settings[3], horizontal = settings[4];
-    const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
+    const double shift = settings[5], way = settings[6], outer = settings[7], middle = ALONGS / 2;
     Palm hand = {palm + 2 + n_tilts, palm + 2 + 2 * n_tilts, n_tilts < TILTS ? n_tilts : TILTS, n_free, palm[1], palm[0], {{0.0f}}, 0, 0, {0.0}, {0.0}, {0.0}};
     for (int64_t i = 0; i < hand.n_tilts; i++) {
         hand.cosine[i] = cos(palm[2 + i]), hand.sine[i] = sin(palm[2 + i]);
@@ -483,6 +574,14 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             used++;
         }
     }
+    int64_t n_tops = 0, free_heights = 0;
+    for (int64_t angle = 0; angle < angles; angle++) {
+        free_heights |= isnan(turns[3 * angle + 2]);
+    }
+    float *tops = n_free && free_heights ? malloc((size_t)n * 12 * sizeof(float)) : NULL;
+    if (tops) {
+        n_tops = height_map(x, y, level, share_of, used, tops);
+    }
     heights.to = highest + 1;
     all.most_lower = (float)highest / 2.0f;
     for (int64_t angle = 0; angle < angles; angle++) {
@@ -512,9 +611,9 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         for (int64_t j = 0; j < bins && used; j++) {
             add_strip(&all, j, highest, from_bin, to_bin, least + j, most + j);
         }
-        if (n_free) {
-            const float inner = (float)(to_bin - from_bin) / 4.0f;
-            find_tops(&hand, beside, place, level, used, -first, (float)from_bin + inner, (float)to_bin - inner);
+        if (n_tops) {
+            const float ends[2] = {((float)from_bin - (float)middle) * ALONG_M, ((float)to_bin - (float)middle) * ALONG_M};
+            find_tops(&hand, tops, 4 * used, n_tops, (float)c, (float)s, (float)step, (ends[0] + ends[1]) / 2.0f, (ends[1] - ends[0]) / 4.0f);
         }
         for (int64_t line = 0; line < lines; line++) {
             const int64_t from = start[2 * line], to = start[2 * line + 8];
@@ -549,6 +648,8 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             one[6] = one[7] = 0.0;
             if (n_free && isnan(turns[3 * angle + 2])) {
                 one[6] = fit_palm(&hand, offset, width, top, floor_m, step, &z, one + 7);
+            } else if (isnan(turns[3 * angle + 2])) {
+                z -= LOWER_M < z - floor_m ? LOWER_M : z - floor_m;
             }
             one[2] = z, one[3] = top;
             take_lower(&all, line, (float)((z - tip) / (double)HEIGHT_M), &alongs);
@@ -558,6 +659,8 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             find_ends(&alongs, share, &low, &high);
             one[0] = (low - middle) * (double)ALONG_M, one[1] = (high - middle) * (double)ALONG_M;
             one[4] = -1.0, one[5] = seen->rows > 0 ? hidden_ends(seen, c, s, one, offset, z) : 1.0;
+            find_ends(&alongs, outer, &low, &high);
+            one[8] = (low - middle) * (double)ALONG_M, one[9] = (high - middle) * (double)ALONG_M;
         }
         for (int64_t i = 0; i < m; i++) { /* the lines beside which it stands */
             const double ahead = c * others[3 * i] + s * others[3 * i + 1], y = c * others[3 * i + 1] - s * others[3 * i];
@@ -572,5 +675,6 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             }
         }
     }
+    free(tops);
     free(start);
 }

@@ -38,6 +38,7 @@ typedef struct { /* of an object in the image */
 } Outline;
 void complete_object(const double *points, const double *weights, int64_t n, double top, const double *shift,
     const Outline *seen, double *completed, double *shares, double *found);
+void outline_rows(const float *points, int64_t n, const double *frame, const double *settings, int64_t rows, double *found);
 void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
     int64_t lines, const double *settings, const Outline *seen, const double *others, int64_t m, const double *palm,
     int64_t n_tilts, int64_t n_free, double *found);

@@ -11,7 +11,7 @@ A predictor may have more, all of it optional:
   and evaluated.
 - NumPy arrays among its attributes are saved with the model and set again when it is loaded; nothing is pickled. For other
   data, `to_tensors()` returns arrays by name, and the class method `from_tensors(tensors)` makes a predictor of them.
-- `uses_colours` is whether it reads `cloud.rgb`; by default it may. A node decodes colours only for who uses them.
+- `uses_colours` is whether it reads `cloud.rgb`; by default it may. A node receives colours only for those who use them.
 - `ranges` are the `Ranges` outside which a value is flagged `out_of_range`; by default those of the sensor.
 """
 

@@ -24,6 +24,21 @@ def outline(points, n: int, grid, rows: int, columns: int, nearest, inside) -> N
     inside[:] = grey_closing(filled, size=(5, 5), mode="constant")
 
 
+def outline_rows(points, n, frame, settings, rows, found) -> None:
+    """See the kernel, whose arguments these are."""
+    (reach, tip, width), local = settings, (points[:n].astype(np.float64) - frame[9:]) @ frame[:9].reshape(3, 3).T
+    found[:], found[0] = np.nan, -1.0
+    row = np.floor((local[:, 1] + reach) / width)
+    counted = (np.abs(local[:, 1]) < reach) & (local[:, 2] > -tip)
+    for k in range(rows):
+        own = np.flatnonzero(counted & (row == k))
+        for side, outermost in enumerate((np.argmin, np.argmax)) if len(own) else ():
+            last = own[outermost(local[own, 0])]
+            face = (np.abs(local[own, 2]) < tip / 2.0) & (np.abs(local[own, 0] - local[last, 0]) < 2.0 * width)
+            mean = local[own[face], 0].mean() if face.any() else np.nan
+            found[:, side, k] = last, local[last, 0], local[last, 1], mean
+
+
 def complete_object(points, weights, n, top, shift, seen, completed, shares, found) -> None:
     """See the kernel, whose arguments these are; `seen` is a mapping."""
     camera, nearest, inside, rows = (seen[name] for name in ("camera", "nearest", "inside", "rows"))
@@ -56,7 +71,7 @@ def closing_lines(points, weights, n, turns, angles, lines, settings, seen, othe
     """See the kernel, whose arguments these are; of a hand without a palm."""
     assert n_free == 0
     camera, nearest, inside, rows = (seen[name] for name in ("camera", "nearest", "inside", "rows"))
-    step, tip, floor_m, share, horizontal, shift, way = settings
+    step, tip, floor_m, share, horizontal, shift, way, outer = settings
     found[:] = np.nan
     points, weights = points[weights > 0.0], weights[weights > 0.0]
     level = np.clip(points[:, 2] / HEIGHT_M, 0.0, HEIGHTS - 2.0)
@@ -71,8 +86,8 @@ def closing_lines(points, weights, n, turns, angles, lines, settings, seen, othe
             strip = tent >= 0.0
             if strip.sum() < 8:
                 continue
-            one = _Strip(place[strip], level[strip], weights[strip] * tent[strip], share)
-            low, high, _ = one.ends(-np.inf)
+            one = _Strip(place[strip], level[strip], weights[strip] * tent[strip])
+            low, high, _ = one.ends(-np.inf, share)
             top, lowest = (_quantile(one.level, one.weight, q) * HEIGHT_M for q in (0.95, 0.03))
             level_m = top / 2.0
             if rows:
@@ -90,10 +105,14 @@ def closing_lines(points, weights, n, turns, angles, lines, settings, seen, othe
                 level_m = max(level_m, (top + _round_underside(one, top, lowest, low, high, horizontal)) / 2.0)
             z = max(level_m + shift, level_m / 2.0) if np.isnan(turns[angle, 2]) else turns[angle, 2]
             z = max(min(z, top - tip / 2.0), floor_m)
-            low, high, total = one.ends((z - tip) / HEIGHT_M)
+            if np.isnan(turns[angle, 2]):
+                z = max(z - 0.006, floor_m)
+            above = (z - tip) / HEIGHT_M
+            low, high, total = one.ends(above, share)
             if total < 3.0:
                 continue
             ends = (low - ALONGS / 2) * ALONG_M, (high - ALONGS / 2) * ALONG_M
+            outer_ends = [(end - ALONGS / 2) * ALONG_M for end in one.ends(above, outer)[:2]]
             x, y, height = others[:m] @ along_line, others[:m] @ beside_line, others[:m, 2]
             outside = ((x > ends[0] - way) & (x < ends[0])) | ((x > ends[1]) & (x < ends[1] + way))
             blocking = np.flatnonzero((np.abs(y - offset) < tip) & (height > z - tip) & outside)
@@ -102,19 +121,20 @@ def closing_lines(points, weights, n, turns, angles, lines, settings, seen, othe
                 inset = min((ends[1] - ends[0]) / 2.0, 0.004)
                 at = np.array([[ends[0] + inset], [ends[1] - inset]]) * along_line
                 solid = _hidden(at + offset * beside_line + [0.0, 0.0, z], -0.003, camera, nearest, inside).mean()
-            found[angle, line] = (*ends, z, top, blocking[0] if len(blocking) else -1, solid, 0.0, 0.0)
+            found[angle, line, :8] = (*ends, z, top, blocking[0] if len(blocking) else -1, solid, 0.0, 0.0)
+            found[angle, line, 8:] = outer_ends
 
 
 class _Strip:
-    def __init__(self, place: Array, level: Array, weight: Array, share: float) -> None:
-        self.place, self.level, self.weight, self._share = place, level, weight, share
+    def __init__(self, place: Array, level: Array, weight: Array) -> None:
+        self.place, self.level, self.weight = place, level, weight
 
-    def ends(self, above: float) -> tuple[float, float, float]:
-        """Ends along the line [bins] of the points above a height, which fade out over four bins; their weight."""
+    def ends(self, above: float, share: float) -> tuple[float, float, float]:
+        """Ends along the line [bins] of the points above a height, which fade out over four bins, with a share beyond them; their weight."""
         weight = self.weight * np.clip((self.level - above) / 4.0 + 0.5, 0.0, 1.0)
-        low, last = (_mean_quantile(bins, weight, self._share) for bins in (self.place, ALONGS - self.place))
+        low, last = (_mean_quantile(bins, weight, share) for bins in (self.place, ALONGS - self.place))
         high = ALONGS - last
-        beyond = 0.75 * self._share * (high - low)
+        beyond = 0.75 * share * (high - low)
         return max(low - beyond, 0.0), min(high + beyond, ALONGS - 1.0), weight.sum()
 
 

@@ -14,7 +14,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch.cloud.messages import decode_objects
 from foretouch.ros.messages.conversions import header_to_msg
-from foretouch.ros.nodes import node_class
+from foretouch.ros.nodes import NODES
 from foretouch.types import ASSUMED_TABLE
 from foretouch_lab.simulation.depth_scene import random_scene
 from foretouch_msgs.msg import Status, TouchPredictionArray
@@ -51,7 +51,7 @@ class Driver:
         self.graph = graph
         options = {"cli_args": ["--ros-args", *remap]} if remap else {}
         overrides = graph.parameters(model=model, **parameters)
-        self.node = node_class("perception")(parameter_overrides=overrides, **options)
+        self.node = NODES.load("perception")(parameter_overrides=overrides, **options)
         graph.serve(self.node)
         self.node.autostart()
         self.heard = graph.listen(TouchPredictionArray, "touch")
@@ -59,7 +59,7 @@ class Driver:
         topic = remap[-1].partition(":=")[2] if remap else "color/image"
         self.images, self.colours = graph.talk(Image, "depth/image"), graph.talk(kind, topic)
         infos = graph.talk(CameraInfo, "depth/camera_info")
-        graph.matched("depth/image", infos.topic_name, topic, "touch", *(["object_cloud"] if looked_at else []))
+        graph.matched("depth/image", infos.topic_name, "touch", *([topic, "object_cloud"] if looked_at else []))
         k, (height, width) = FRAME_OF_SCENE.K.ravel().tolist(), FRAME_OF_SCENE.depth_mm.shape
         info = CameraInfo(header=header_to_msg(FRAME, 1), width=width, height=height, distortion_model="plumb_bob")
         info.d, info.k = [0.0] * 5, k
@@ -177,6 +177,7 @@ def test_compressed_colours_are_read_by_a_remap_alone(graph, model_card):
 def test_a_model_that_takes_colours_gets_them_where_nobody_else_looks(graph, tmp_path):
     card = save_small_network(tmp_path, "coloured", np.linspace(1700.0, 3300.0, 50), channels="xyz+rgb")
     driver = Driver(graph, card, looked_at=False)
+    graph.matched("color/image")
     refused = driver.depth(1).predictions[0]
     assert (refused.status, refused.reason) == (
         Status.REFUSED,
@@ -190,9 +191,18 @@ def test_a_model_that_takes_colours_gets_them_where_nobody_else_looks(graph, tmp
     assert (readings[0] != readings[1]).any()
 
 
-def test_colours_that_nobody_looks_at_are_not_matched_and_delay_no_answer(graph, model_card):
+def test_colours_that_nobody_looks_at_are_not_received(graph, model_card):
     driver = Driver(graph, model_card, looked_at=False, color_wait_s=1.0)
-    driver.colour(_image(FRAME_OF_SCENE.rgb[:10], 1, "rgb8"))
     assert driver.depth(50).status == Status.OK
-    assert driver.counts() == {"received": 1}
+    assert driver.colours.get_subscription_count() == 0
+    points = []
+    subscription = graph.probe.create_subscription(PointCloud2, "object_cloud", points.append, 10)
+    graph.until(lambda: driver.colours.get_subscription_count() == 1)
+    driver.colour(_image(FRAME_OF_SCENE.rgb, 51, "rgb8"))
+    driver.depth(51)
+    graph.until(lambda: points)
+    assert driver.counts() == {"received": 1, "paired": 1}
+    graph.probe.destroy_subscription(subscription)
+    graph.until(lambda: driver.colours.get_subscription_count() == 0)
+    assert driver.depth(52).status == Status.OK
     assert not driver.warnings()

@@ -58,6 +58,9 @@ class Step:
             reason: The same as text.
         """
 
+    def look(self) -> None:
+        """Do what is due twice a second, in the executor's thread."""
+
     def diagnose(self, report: Report) -> None:
         """Add to a report of the node."""
 
@@ -106,6 +109,11 @@ class ProcessingNode(ForetouchNode[_P]):
     def _config_changed(self, config: _P) -> None:
         for step in self.steps:
             step.configure(config)
+
+    def _look(self) -> None:
+        super()._look()
+        for step in self.steps:
+            step.look()
 
     def _teardown(self) -> None:
         self.steps = ()

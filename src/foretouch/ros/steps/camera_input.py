@@ -5,8 +5,8 @@
 image_transport publishes there. `depth/camera_info` is taken from beside the images, unless it is remapped too.
 
 `color/image` has the colours of the same pixels: a `sensor_msgs/Image`, or remapped to a topic that ends with `/compressed` a
-`CompressedImage`. They are matched with the depth images by their stamps (`ColourImages`), and are decoded only where they are
-drawn, published or used by the model. A depth image is answered with or without them.
+`CompressedImage`. They are received only while they are drawn, published or used by the model, and matched with the depth images
+by their stamps (`ColourImages`). A depth image is answered with or without them.
 """
 
 import math
@@ -28,6 +28,7 @@ from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
 from foretouch.ros.runtime.subscription import InputTopic
+from foretouch.topics import COLOUR_TOPIC
 from foretouch.types import Cloud, UInt8, stamp_ns
 from foretouch.types.camera import DepthImage
 from foretouch.types.cloud import DepthCloud
@@ -35,7 +36,6 @@ from foretouch_msgs.msg import Status
 
 _IMAGE_TOPIC: Final = "depth/image"
 _INFO_TOPIC: Final = "depth/camera_info"
-_COLOUR_TOPIC: Final = "color/image"
 _POINTS_TOPIC: Final = "points"
 _POLL_S: Final = 0.05
 _SILENT_S: Final = 1.0  # without a colour image, after which no depth image waits for one
@@ -98,9 +98,20 @@ class CameraInput(Step):
         self._colour_s = -math.inf  # when the last colour image arrived, `time.monotonic` [s]
         self._received = 0  # colour images
         self._colourless_s = -math.inf  # when a depth image was last without its colours, `time.monotonic` [s]
-        colours = node.resolve_topic_name(_COLOUR_TOPIC)
-        kind = CompressedImage if colours.endswith("/compressed") else Image
-        node.subscribe(InputTopic(colours, kind, latched=None), self._receive_colours)
+        self._receives_colours = False
+        self.look()
+
+    def look(self) -> None:
+        """Receive colours while somebody looks at them."""
+        if self._node.config.input != "depth" or self._receives_colours == self._shows_colours():
+            return
+        self._receives_colours = not self._receives_colours
+        topic = self._node.resolve_topic_name(COLOUR_TOPIC)
+        if self._receives_colours:
+            kind = CompressedImage if topic.endswith("/compressed") else Image
+            self._node.subscribe(InputTopic(topic, kind, latched=None), self._receive_colours)
+        else:
+            self._node.unsubscribe(topic)
 
     def _remapped(self, topic: str) -> bool:
         """Return whether a topic has another name than its own in the namespace of the node."""
@@ -138,7 +149,7 @@ class CameraInput(Step):
             counts = {"received": self._received, **self._colours.counts}
             report.values |= {f"color.{name}": str(count) for name, count in counts.items()}
             if time.monotonic() - self._colourless_s < _RECENT_S:
-                report.warnings.append(f"{_COLOUR_TOPIC}: {self._colours.fault}")
+                report.warnings.append(f"{COLOUR_TOPIC}: {self._colours.fault}")
 
     def _camera(self, frame: str, shape: Any) -> Any:
         with self._changed:
@@ -159,7 +170,7 @@ class CameraInput(Step):
 
     def _colours_of(self, frame: str, shape: tuple[int, int], stamp: int) -> UInt8 | None:
         """Return the colours (H, W, 3) of a depth image, after a wait of `color_wait_s` at most; None without any, or where nobody looks."""
-        if not (self._received and self._shows_colours()):
+        if not (self._received and self._receives_colours):
             return None
         until_s, colours = time.monotonic() + self._node.config.color_wait_s, self._colours
         with self._changed:

@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
-from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig
+from foretouch.grasp import CarriedConfig, GeoGraspConfig, GraspPlan, HandConfig
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.placement import Placement, poses_to_msg
@@ -35,6 +35,7 @@ class GraspSettings(FrameSettings, HoldConfig):
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
     hand: HandConfig = HandConfig()
+    object: CarriedConfig = CarriedConfig()
 
 
 def stream_config(config: Any) -> StreamConfig:

@@ -78,7 +78,8 @@ def sample_grasps(
     if targets.refusal is not None:  # the table of a given cloud is not known
         raise targets.refusal
     planning = config.grasp.replace(count=goal.count) if goal.count else config.grasp
-    pipeline = Pipeline(PipelineConfig(grasp=planning, hand=config.hand, limits=config.limits))
+    settings = PipelineConfig(grasp=planning, hand=config.hand, object=config.object, limits=config.limits)
+    pipeline = Pipeline(settings)
     name = bytes(handle.goal_id.uuid).hex()[:8]
     candidates: list[_Candidate] = []
     message = GraspArray()

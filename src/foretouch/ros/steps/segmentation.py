@@ -17,7 +17,7 @@ from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.config import setting
 from foretouch.errors import CloudError
-from foretouch.grasp import GeoGraspConfig, HandConfig
+from foretouch.grasp import CarriedConfig, GeoGraspConfig, HandConfig
 from foretouch.ros.messages.clouds import (
     detections_to_msg,
     labels_to_msg,
@@ -62,6 +62,7 @@ class SegmentationSettings(SelectionSettings, FrameSettings):
     limits: ObjectLimits = ObjectLimits()  # with which `target.mode` free plans grasps
     grasp: GeoGraspConfig = GeoGraspConfig()  # the same
     hand: HandConfig = HandConfig()  # the same
+    object: CarriedConfig = CarriedConfig()  # the same
 
 
 class SegmentationStep(Step):

@@ -7,7 +7,7 @@ from typing import Final
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
 from foretouch.dataset.pairing.cut import PairingConfig
-from foretouch.grasp import GeoGraspConfig, HandConfig
+from foretouch.grasp import CarriedConfig, GeoGraspConfig, HandConfig
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.registry import MODEL_WORDS, PREDICTOR_WORDS
 from foretouch.ros.messages.tactile import TactileInput
@@ -60,3 +60,4 @@ class TouchSettings(ReachConfig, TactileInput, FrameSettings):
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
     hand: HandConfig = HandConfig()
+    object: CarriedConfig = CarriedConfig()
