@@ -21,7 +21,7 @@ from foretouch_lab.simulation.simulate import Simulation
 ROOT = Path(__file__).parents[1]
 TOUCHES = 2  # before the grasp that is drawn
 SAMPLES = 10  # of the scene
-COLOURS = 128
+COLOURS = 256
 
 
 def grasp_before_and_after(model: TouchModel, samples: list[Sample], frames: FrameMaker) -> DrawnGrasp:

@@ -99,7 +99,7 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
         (Pipeline().plan, (scene.cloud,), r"target: \w*Cloud is not an object of a scene"),
         (ft.load_model().predict, (scene.cloud.xyz, []), "cloud: ndarray is neither an object of a scene, such as"),
         (ft.segment, (scene.cloud.xyz,), r"cloud: ndarray is not a Cloud, such as Cloud\.from_depth\(depth, K\)"),
-        (Pipeline().run, (None,), "cloud: NoneType is not a Cloud"),
+        (Pipeline().run, (None,), "cloud: None is not a Cloud"),
         (Pipeline().run, (scene.cloud.xyz,), "cloud: ndarray is not a Cloud"),
         (
             Pipeline().run,
@@ -117,13 +117,14 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
     every_case(cases, check)
 
 
-def test_lists_become_arrays_and_what_is_no_grasp_reading_model_or_setting_is_refused(scene):
+def test_lists_become_arrays_and_what_is_no_grasp_reading_model_or_setting_is_refused(scene, tmp_path):
     model, target = ft.load_model(), scene.objects[0]
     grasps = ft.plan(target)
     listed = ft.Grasp(*(getattr(grasps[0], name).tolist() for name in ("g1", "g2", "rotation")))
     np.testing.assert_array_equal(model.predict(target, [listed]).value, model.predict(target, grasps).value)
     assert ft.Touch([0] * 50, model.sensor.channels).values.dtype == np.float64
     history = ft.History(model)
+    sample = make_samples(1, 1)[0]
     cases = [
         (GraspError, ft.Grasp, ("left", listed.g2, listed.rotation), "g1: left is not of numbers"),
         (TactileError, ft.Touch, ([[1.0], [1.0, 2.0]], model.sensor.channels), "touch: .* is not of numbers"),
@@ -137,6 +138,20 @@ def test_lists_become_arrays_and_what_is_no_grasp_reading_model_or_setting_is_re
         (TactileError, history.touched, (target, listed, np.zeros(50)), "touched: ndarray is not a Touch"),
         (ModelError, ft.History, ("contact-v3",), r"model: contact-v3 is not a TouchModel, such as load_model\(\)"),
         (ConfigError, ft.Pipeline, ({"grasp": {"count": 3}},), "config: dict is not a PipelineConfig, such as"),
+        (ConfigError, ft.Stream, (ft.PipelineConfig(),), "config: PipelineConfig is not a StreamConfig, such as"),
+        (
+            CloudError,
+            ft.Stream().plan,
+            ([scene],),
+            r"target: Scene is not an object of a scene, such as segment\(cloud\)",
+        ),
+        (DatasetError, ft.fit, ([sample] * 3,), f"3 samples have the id '{sample.id}': give each another name after"),
+        (
+            DatasetError,
+            ft.write,
+            (tmp_path / "set", [replace(sample, id="s0")]),
+            "'s0' is not .*; leave it empty for a",
+        ),
     ]
 
     def check(error, call, arguments, message):

@@ -10,9 +10,10 @@ pytest.importorskip("trimesh", reason="needs the extra physics")
 import trimesh
 
 from benchmarks.grasp_physics import bench
+from benchmarks.grasp_physics.bodies import Planned, take
 from benchmarks.grasp_physics.camera import see
-from benchmarks.grasp_physics.objects import Item, placed, read_items
-from benchmarks.grasp_physics.simulation import BESIDE, HANGS, HELD, INSIDE, LIFT, OUT, SHAKE, held
+from benchmarks.grasp_physics.objects import GAP_M, Item, huddle, placed, read_items
+from benchmarks.grasp_physics.simulation import BESIDE, HANGS, HELD, INSIDE, LIFT, OUT, SHAKE, Grip, held
 from benchmarks.grasp_physics.surface import best_grasp
 from foretouch.errors import FileError
 from foretouch.pipeline import Pipeline
@@ -139,3 +140,45 @@ def test_a_folder_of_objects_is_read_or_refused_by_name(tmp_path) -> None:
     (item,) = read_items(tmp_path)
     assert (item.name, item.mass_kg, len(item.parts)) == ("Brick", 0.25, 1)
     np.testing.assert_allclose(item.mesh.extents, (0.06, 0.10, 0.12))
+
+
+def test_three_objects_stand_close_together_and_apart() -> None:
+    for number in range(4):
+        stand = huddle(list(SOLIDS.values()), number)
+        assert {item.name for item, _ in stand} == set(SOLIDS)
+        feet = [item.footprint(pose) for item, pose in stand]
+        gaps = [
+            float(np.linalg.norm(a[:, None] - b[None], axis=2).min()) for k, a in enumerate(feet) for b in feet[k + 1 :]
+        ]
+        assert min(gaps) > GAP_M[0] - 0.003
+        assert sorted(gaps)[1] < GAP_M[1] + 0.001  # both neighbours are near to another one
+        for item, pose in stand:
+            assert item.at(pose).bounds[0, 2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_neighbours_that_a_grasp_carries_along_or_that_are_in_its_way_are_counted() -> None:
+    """A box beside the grasped one stays; one on top of it rises with it; one where a tip or a jaw comes from is in the way."""
+    item, pose = stood("box")
+    other = Item("other", (trimesh.creation.box((0.03, 0.03, 0.04)),), 0.05)
+
+    def at(x: float, y: float, z: float):
+        where = placed(other, np.eye(4), np.array([x, y]))
+        where[2, 3] += z
+        return other, where
+
+    frame = np.eye(4)  # jaws from above, along x, 40 mm below the top
+    frame[:3, :3], frame[:3, 3] = np.stack([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]], axis=1), [0.0, 0.0, 0.085]
+    for where, moved, inside, obstacle in (
+        ((0.0, 0.1, 0.0), 0, False, ""),
+        ((0.0, 0.0, 0.12), 1, False, "palm or arm meets a neighbour"),
+        ((0.055, 0.0, 0.0), 0, True, ""),
+        ((0.055, 0.0, 0.05), 0, True, "finger meets a neighbour"),
+    ):
+        grip = Grip(item, 0.008, 0.8, [at(*where)])
+        verdict = grip.close(pose, *across("box", z=0.06 if where[2] == 0.0 else 0.07))
+        assert (verdict.reason == INSIDE) == (inside and where[2] > 0.0), where
+        if verdict.reason != INSIDE:
+            assert (verdict.held, grip.moved()) == (True, moved), where
+        taken = take(item, pose, Planned(frame, 0.06), "franka_hand", neighbours=(at(*where),))
+        assert taken.reason == (obstacle or HELD), where
+        assert taken.moved == 0

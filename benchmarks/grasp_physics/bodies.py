@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
-from benchmarks.grasp_physics.objects import Item
+from benchmarks.grasp_physics.objects import Item, Placed
 from benchmarks.grasp_physics.simulation import (
     BESIDE,
     END_S,
@@ -49,6 +49,7 @@ class Take(NamedTuple):
     reached: bool
     held: bool
     reason: str
+    moved: int  # neighbours
 
 
 class Planned(NamedTuple):
@@ -58,7 +59,15 @@ class Planned(NamedTuple):
     width_m: float
 
 
-def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float = 0.8, off: int | None = None) -> Take:
+def take(
+    item: Item,
+    pose: Float64,
+    planned: Planned,
+    hand: str,
+    friction: float = 0.8,
+    off: int | None = None,
+    neighbours: tuple[Placed, ...] = (),
+) -> Take:
     """Return whether a hand reaches a grasp and holds the object, at its pose (4, 4), object to world; the table is z = 0.
 
     Args:
@@ -68,12 +77,13 @@ def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float
         hand: Name of the description.
         friction: Between the fingers and the object.
         off: Draws by how much the palm is off, by `OFF_M` and `OFF_DEG`; exact without.
+        neighbours: Other objects, and their poses.
     """
-    body = body_of(item, hand, friction)
+    body = body_of(item, hand, friction) if not neighbours else _body(item, hand, friction, neighbours)
     frame = planned.frame.copy()
     where = body.obstruction(pose, planned._replace(frame=frame))
     if where:
-        return Take(False, False, where)
+        return Take(False, False, where, 0)
     if off is not None:
         rng = np.random.default_rng([zlib.crc32(item.name.encode()), off])
         shift, turn = (vector / np.linalg.norm(vector) for vector in rng.standard_normal((2, 3)))
@@ -82,13 +92,17 @@ def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float
         mujoco.mju_quat2Mat(rotation, turned)
         frame[:3, :3], frame[:3, 3] = rotation.reshape(3, 3) @ frame[:3, :3], frame[:3, 3] + OFF_M * shift
     reason = body.grip(pose, planned._replace(frame=frame), FORCES_N[hand])
-    return Take(True, reason == HELD, reason)
+    return Take(True, reason == HELD, reason, body.moved())
 
 
 @lru_cache(maxsize=8)
 def body_of(item: Item, hand: str, friction: float) -> "HandBody":
     """Return the simulated world of an object and a hand, built once."""
-    return (ShadowBody if hand == SHADOW else JawBody)(item, load_hand(hand), friction)
+    return _body(item, hand, friction, ())
+
+
+def _body(item: Item, hand: str, friction: float, neighbours: tuple[Placed, ...]) -> "HandBody":
+    return (ShadowBody if hand == SHADOW else JawBody)(item, load_hand(hand), friction, neighbours)
 
 
 class HandBody(Body):
@@ -96,8 +110,8 @@ class HandBody(Body):
 
     fingers: tuple[int, ...]  # its shapes
 
-    def __init__(self, item: Item, hand: Hand, xml: str) -> None:
-        super().__init__(item, xml)
+    def __init__(self, item: Item, hand: Hand, xml: str, neighbours: tuple[Placed, ...]) -> None:
+        super().__init__(item, xml, neighbours)
         self.hand = hand
 
     def near(self) -> str:
@@ -108,10 +122,12 @@ class HandBody(Body):
         for k in range(self.data.ncon):
             pair = self.data.contact[k].geom1, self.data.contact[k].geom2
             for mine, other in (pair, pair[::-1]):
-                if self.of_object[mine] or mine == self.table:
+                if self.of_object[mine] or self.of_neighbour[mine] or mine == self.table:
                     continue
                 if self.of_object[other]:
                     return f"{self.part(mine)} meets the object"
+                if self.of_neighbour[other]:
+                    return f"{self.part(mine)} meets a neighbour"
                 if other == self.table and self.data.contact[k].dist < (0.0 if mine in self.pads else NEAR_M):
                     return f"{self.part(mine)} meets the table"
         return ""
@@ -132,7 +148,7 @@ class HandBody(Body):
 class JawBody(HandBody):
     """Parallel jaws made of the boxes of a description."""
 
-    def __init__(self, item: Item, hand: Hand, friction: float) -> None:
+    def __init__(self, item: Item, hand: Hand, friction: float, neighbours: tuple[Placed, ...]) -> None:
         at = hand.at(0.0)
         boxes = {
             part: [c for c, own in zip(at.corners, hand.parts, strict=True) if own == part]
@@ -149,7 +165,7 @@ class JawBody(HandBody):
             _box(f"palm{k}", corners, f'{solid} mass=".7" friction=".3 .005 .0001"')
             for k, corners in enumerate(boxes[PALM])
         )
-        meshes, scene = object_xml(item, NEAR_M)
+        meshes, scene = object_xml(item, NEAR_M, [one for one, _ in neighbours])
         slides, inertial, drives = arm_xml(50000.0, 700.0)
         super().__init__(
             item,
@@ -159,6 +175,7 @@ class JawBody(HandBody):
 <body name="arm" gravcomp="1">{inertial}{slides}<body name="mount" gravcomp="1">{palms}{jaws}</body></body></worldbody>
 <equality><joint joint1="{FINGER}" joint2="{THUMB}" polycoef="0 1 0 0 0" solref=".004 1"/></equality>
 <actuator>{drives}<motor joint="{FINGER}"/><motor joint="{THUMB}"/></actuator></mujoco>""",
+            neighbours,
         )
         self.pads = tuple(self.model.geom(f"{name}0").id for name in (FINGER, THUMB))
         self.fingers = tuple(
@@ -256,10 +273,10 @@ _WAY: Final = 17  # postures from opened to beyond the contacts
 class ShadowBody(HandBody):
     """The Shadow Hand, driven in its thumb and middle finger; the others are straight."""
 
-    def __init__(self, item: Item, hand: Hand, friction: float) -> None:
+    def __init__(self, item: Item, hand: Hand, friction: float, neighbours: tuple[Placed, ...]) -> None:
         mount, meshes_at = _shadow_files()
         mount = mount.replace('condim="4"', f'condim="4" priority="1" friction="{friction} {SPIN_M} 0.0001"')
-        meshes, scene = object_xml(item, NEAR_M)
+        meshes, scene = object_xml(item, NEAR_M, [one for one, _ in neighbours])
         slides, inertial, drives = arm_xml(100000.0, 1500.0)
         others = "".join(
             f'<position name="{f}FJ{k}" joint="robot0:{f}FJ{k}" kp="5" kv=".2"/>' for f in "FRL" for k in range(4)
@@ -276,6 +293,7 @@ class ShadowBody(HandBody):
 <body name="arm" gravcomp="1">{inertial}{slides}{mount}</body></worldbody>
 <equality><joint joint1="robot0:MFJ0" joint2="robot0:MFJ1" polycoef="0 {_COUPLED} 0 0 0" solref=".004 1"/></equality>
 <actuator>{drives}{wrist}{others}<position joint="robot0:LFJ4" kp="20" kv=".5"/></actuator></mujoco>""",
+            neighbours,
         )
         joints = [self.model.joint(f"robot0:{name}") for name in (*_FINGER_JOINTS, *_THUMB_JOINTS)]
         self._places = np.array([int(joint.qposadr[0]) for joint in joints])

@@ -2,6 +2,7 @@
 """What the depth camera of `config/scenes/rigid.yaml`, with all its faults, sees of one object on the table."""
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -9,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.common import scene
-from benchmarks.grasp_physics.objects import Item
+from benchmarks.grasp_physics.objects import Item, Placed
 from foretouch.types import Cloud, Float32, Float64
 from foretouch_lab.simulation.depth_scene import CameraView, RenderedFrame, to_millimetres
 from foretouch_lab.simulation.effects.view import FRAME_EFFECTS
@@ -72,19 +73,24 @@ class Seen:
 
 def see(item: Item, number: int, view: str) -> Seen:
     """Return an image of an object at its pose of this number, in one of `VIEWS`."""
-    slot = len(VIEWS) * number + VIEWS.index(view)
-    seed = zlib.crc32(item.name.encode())
+    return see_all(
+        [(item, item.pose(number))], zlib.crc32(item.name.encode()), len(VIEWS) * number + VIEWS.index(view), view
+    )
+
+
+def see_all(stand: Sequence[Placed], seed: int, slot: int, view: str) -> Seen:
+    """Return an image of objects, of which the first is wanted, in one of `VIEWS`; `seed` and `slot` decide where the camera stands, and its noise."""
+    item, pose = stand[0]
     rng = np.random.default_rng([seed, slot, 1])
     elevation = rng.uniform(*ELEVATION_DEG) if view == "oblique" else 90.0
     stands = {"camera__tilt_deg": 90.0 - elevation, "camera__distance_m": float(rng.uniform(*DISTANCE_M))}
-    config = scene("rigid", objects=[{"name": item.name}], **stands)  # `stand` puts the object itself there
-    camera, pose = config.camera.view(), item.pose(number)
-    body = Surface.of(item, pose)
+    config = scene("rigid", objects=[{"name": item.name}], **stands)  # `put` puts the objects themselves there
+    camera, bodies = config.camera.view(), [Surface.of(*one) for one in stand]
 
-    def stand(_job: Job, state: SampleState) -> None:
-        state.bodies = [body]
+    def put(_job: Job, state: SampleState) -> None:
+        state.bodies = bodies
 
-    engine = Engine(config, (Effect("object", stand, "objects"), *FRAME_EFFECTS))
+    engine = Engine(config, (Effect("object", put, "objects"), *FRAME_EFFECTS))
     depth = to_millimetres(engine.run(SampleKey(seed, slot)).depth)
     nothing, rgb = np.zeros(depth.shape, np.int32), np.zeros((*depth.shape, 3), np.uint8)
     return Seen(item, pose, camera, RenderedFrame(depth, rgb, nothing, camera.matrix, camera.table_plane()).cloud())

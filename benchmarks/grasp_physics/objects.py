@@ -3,12 +3,14 @@
 
 import re
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import trimesh
+from scipy.spatial import ConvexHull, cKDTree
 
 from foretouch.errors import FileError
 from foretouch.types import Float64
@@ -16,6 +18,7 @@ from foretouch.types import Float64
 PARTS = "collision_vhacd.obj"  # convex parts [m]
 MASS = "model.urdf"  # holds the mass [kg]
 SPREAD_M = 0.04  # objects stand up to this far from the world's origin, along x and along y
+GAP_M = (0.01, 0.03)  # from an object to those around it
 RARE = 0.01  # a pose of this probability or more may count as upright
 
 
@@ -68,6 +71,14 @@ class Item:
         )
         return poses, probabilities / probabilities.sum()
 
+    def footprint(self, pose: Float64) -> Float64:
+        """Return (n, 2) float64 points [m] around the convex hull of what stands at a pose (4, 4), seen from above, 2 mm apart or less."""
+        flat = trimesh.transform_points(self.mesh.vertices, pose)[:, :2]
+        corners = flat[ConvexHull(flat).vertices]
+        ends = np.stack([corners, np.roll(corners, -1, axis=0)])
+        steps = [np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / 0.002)) for a, b in zip(*ends, strict=True)]
+        return np.concatenate(steps)
+
     def random(self, number: int) -> np.random.Generator:
         """Return the random numbers of one pose, whatever other objects there are."""
         return np.random.default_rng([zlib.crc32(self.name.encode()), number])
@@ -110,3 +121,30 @@ def read_items(folder: Path) -> list[Item]:
     if not folders:
         raise FileError(folder, f"holds no folder with {PARTS}")
     return [read_item(item_folder) for item_folder in folders]
+
+
+Placed = tuple[Item, Float64]
+"""An object, and its pose (4, 4), object to world."""
+
+
+def huddle(items: Sequence[Item], number: int) -> list[Placed]:
+    """Return three different objects close together: the first at the world's origin, and 10 to 30 mm from it, or from each other, two neighbours.
+
+    Args:
+        items: To draw from.
+        number: Of the scene; whatever it is, the objects stand as in `Item.pose`, half of them upright.
+    """
+    rng = np.random.default_rng([zlib.crc32(b"huddle"), number])
+    first, *others = (items[k] for k in rng.permutation(len(items))[:3])
+    stand = [(first, placed(first, first.pose(int(rng.integers(8))), np.zeros(2)))]
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    for item in others:
+        gap, start = rng.uniform(*GAP_M), item.pose(int(rng.integers(8)))
+        trees = [cKDTree(one.footprint(pose)) for one, pose in stand]
+        for away in np.arange(0.5, 0.0, -0.002):  # from outside, until it is as near as wanted
+            pose = placed(item, start, away * np.array([np.cos(angle), np.sin(angle)]))
+            if min(tree.query(item.footprint(pose))[0].min() for tree in trees) < gap:
+                break
+        stand.append((item, pose))
+        angle += rng.uniform(*np.radians([100.0, 260.0]))
+    return stand

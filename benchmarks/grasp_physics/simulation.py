@@ -11,13 +11,14 @@ There is no hand: no kinematics, no palm, nothing that could meet the object but
 table. How far below it they would be is part of the answer.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Final, NamedTuple
 
 import mujoco
 import numpy as np
 
-from benchmarks.grasp_physics.objects import Item
+from benchmarks.grasp_physics.objects import Item, Placed
 from foretouch.types import Float64
 
 FORCE_N: Final = 5.0
@@ -34,6 +35,8 @@ TABLE_SHARE: Final = 0.2  # of the weight
 OPENING_M: Final = 0.10  # largest distance of the contacts
 SUNK_M: Final = 0.001  # a tip may be this far below the table and count as clear of it
 STEP_S: Final = 0.002
+MOVED_M: Final = 0.01
+TURNED_DEG: Final = 10.0
 _CHECKED = 5  # steps from one check to the next while closing
 _HOLD_N_M, _HOLD_NS_M = 5000.0, 60.0  # of the first tip's place, once closed
 
@@ -90,24 +93,37 @@ class Body:
     Args:
         item: The object.
         xml: The model of MuJoCo.
+        neighbours: Other objects in it, and their poses.
     """
 
     pads: tuple[int, ...]  # shapes of both sides that hold
 
-    def __init__(self, item: Item, xml: str) -> None:
-        self.weight_n = item.mass_kg * 9.81
+    def __init__(self, item: Item, xml: str, neighbours: Sequence[Placed] = ()) -> None:
+        self.weight_n, self.neighbours = item.mass_kg * 9.81, neighbours
         self.model = mujoco.MjModel.from_xml_string(xml)
         self.data = mujoco.MjData(self.model)
         self.object, self.mount = self.model.body("object").id, self.model.body("mount").id
         self.table = self.model.geom("table").id
         self.of_object = self.model.geom_bodyid == self.object
-        self._free = self.model.jnt_qposadr[self.model.body_jntadr[self.object]]
+        others = [self.model.body(f"neighbour{k + 1}").id for k in range(len(neighbours))]
+        self.of_neighbour = np.isin(self.model.geom_bodyid, others)
+        self._free = [self.model.jnt_qposadr[self.model.body_jntadr[body]] for body in (self.object, *others)]
 
     def reset(self, pose: Float64) -> None:
-        """Put the object back."""
+        """Put the object and its neighbours back."""
         mujoco.mj_resetData(self.model, self.data)
-        at = self._free
-        self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = pose[:3, 3], quaternion(pose[:3, :3])
+        for at, where in zip(self._free, (pose, *(where for _, where in self.neighbours)), strict=True):
+            self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = where[:3, 3], quaternion(where[:3, :3])
+
+    def moved(self) -> int:
+        """Return how many neighbours are more than `MOVED_M` from where they stood, or turned by more than `TURNED_DEG`."""
+        number = 0
+        for at, (_, pose) in zip(self._free[1:], self.neighbours, strict=True):
+            now = self.data.qpos[at : at + 7]
+            shift = float(np.linalg.norm(now[:3] - pose[:3, 3]))
+            turn = 2.0 * np.degrees(np.arccos(min(1.0, abs(float(now[3:] @ quaternion(pose[:3, :3]))))))
+            number += shift > MOVED_M or turn > TURNED_DEG
+        return number
 
     def place(self, mount: Float64) -> None:
         """Put the mount (4, 4) somewhere in the world."""
@@ -148,10 +164,11 @@ class Grip(Body):
         item: The object.
         tip_radius_m: Radius of the tips [m].
         friction: Between tips and object; between table and object it is 0.6.
+        neighbours: Other objects, with which the tips collide, too, and their poses.
     """
 
-    def __init__(self, item: Item, tip_radius_m: float, friction: float) -> None:
-        super().__init__(item, _xml(item, tip_radius_m, friction))
+    def __init__(self, item: Item, tip_radius_m: float, friction: float, neighbours: Sequence[Placed] = ()) -> None:
+        super().__init__(item, _xml(item, tip_radius_m, friction, [one for one, _ in neighbours]), neighbours)
         self.radius_m = tip_radius_m
         self.pads = tuple(self.model.geom(name).id for name in ("tip1", "tip2"))
         self._bodies = [self.model.body(name).id for name in ("tip1", "tip2")]
@@ -238,23 +255,29 @@ def quaternion(rotation: Float64) -> Float64:
 ROUGH: Final = 'condim="4" friction="0.6 0.005 0.0001"'
 
 
-def object_xml(item: Item, near_m: float = 0.0) -> tuple[str, str]:
-    """Return the meshes of an object, and table and object as MuJoCo reads them; what is nearer than that is found, without a force."""
-    names = [f"part{i}" for i in range(len(item.parts))]
+def object_xml(item: Item, near_m: float = 0.0, neighbours: Sequence[Item] = ()) -> tuple[str, str]:
+    """Return the meshes of an object and its neighbours, and table and objects as MuJoCo reads them; what is nearer than that is found, without a force."""
+    near = f'gap="{near_m}"' if near_m else ""
+    table = (
+        f'<geom name="table" type="plane" size="2 2 .1" contype="1" conaffinity="{3 if near_m else 1}" {ROUGH} {near}/>'
+    )
+    bodies = [_body_xml(one, f"neighbour{k}" if k else "object", near) for k, one in enumerate((item, *neighbours))]
+    meshes, solids = ("".join(texts) for texts in zip(*bodies, strict=True))
+    return meshes, table + solids
+
+
+def _body_xml(item: Item, name: str, near: str) -> tuple[str, str]:
+    names = [f"{name}_part{i}" for i in range(len(item.parts))]
     vertices = [" ".join(f"{value:.7f}" for value in part.vertices.ravel()) for part in item.parts]
     meshes = "".join(f'<mesh name="{n}" vertex="{v}"/>' for n, v in zip(names, vertices, strict=True))
-    near = f'gap="{near_m}"' if near_m else ""
     parts = "".join(
         f'<geom type="mesh" mesh="{n}" contype="1" conaffinity="3" {ROUGH} {near} mass="0"/>' for n in names
     )
     i = item.inertia + 1e-7 * np.eye(3)  # no thinner than MuJoCo can invert
     inertia = " ".join(f"{v:.9g}" for v in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
     centre = " ".join(f"{v:.9g}" for v in item.centre)
-    table = (
-        f'<geom name="table" type="plane" size="2 2 .1" contype="1" conaffinity="{3 if near_m else 1}" {ROUGH} {near}/>'
-    )
     inertial = f'<inertial pos="{centre}" mass="{item.mass_kg}" fullinertia="{inertia}"/>'
-    return meshes, f'{table}<body name="object"><freejoint/>{inertial}{parts}</body>'
+    return meshes, f'<body name="{name}"><freejoint/>{inertial}{parts}</body>'
 
 
 def arm_xml(kp: float, kv: float) -> tuple[str, str, str]:
@@ -265,9 +288,9 @@ def arm_xml(kp: float, kv: float) -> tuple[str, str, str]:
     return slides, '<inertial pos="0 0 0" mass="1" diaginertia=".01 .01 .01"/>', drives
 
 
-def _xml(item: Item, tip_radius_m: float, friction: float) -> str:
-    """Return the model; the tips' friction counts at their contacts, and they collide with the object alone."""
-    meshes, scene = object_xml(item)
+def _xml(item: Item, tip_radius_m: float, friction: float, neighbours: Sequence[Item]) -> str:
+    """Return the model; the tips' friction counts at their contacts, and they collide with objects alone."""
+    meshes, scene = object_xml(item, neighbours=neighbours)
     tip = f'type="sphere" size="{tip_radius_m}" mass="0.05" contype="2" conaffinity="0" condim="4" priority="1" friction="{friction} {SPIN_M} 0.0001"'
     tips = "".join(
         f'<body name="tip{k}" gravcomp="1"><joint name="close{k}" type="slide" axis="{axis} 0 0" damping="25"/>'

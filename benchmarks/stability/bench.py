@@ -2,7 +2,7 @@
 """How far does the best grasp move when the cloud changes a little? Both methods of GeoGrasp on recorded objects."""
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.common import add_data, print_rows, write_csv
 from foretouch.cloud.io.files import read_cloud
-from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
+from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, plan_grasps
 from foretouch.types import Cloud, Float32, Float64, Plane
 
 TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
@@ -50,18 +50,18 @@ CHANGES: Mapping[str, Change] = {
 }
 
 
-def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, Any]]:
-    """Iterate over the rows of the table for some clouds."""
-    moved: dict[tuple[str, str], list[float]] = {(change, method): [] for change in CHANGES for method in METHODS}
+def measure(name: str, clouds: list[Float32], methods: Sequence[str] = METHODS) -> Iterator[dict[str, Any]]:
+    """Iterate over the rows of the table for some clouds; a method may be the name of a described hand."""
+    moved: dict[tuple[str, str], list[float]] = {(change, method): [] for change in CHANGES for method in methods}
     for seed, xyz in enumerate(clouds):
         centre = xyz.mean(axis=0, dtype=np.float64)
-        for method in METHODS:
+        for method in methods:
             before, rng = plan(xyz, method), np.random.default_rng(seed)
             for key, change in CHANGES.items():
                 after = change.more(change.carry(xyz.astype(np.float64), centre), rng).astype(np.float32)
                 moved[key, method].append(distance_mm(before, plan(after, method), change, centre))
     for key in CHANGES:
-        values = {method: np.array(moved[key, method]) for method in METHODS}
+        values = {method: np.array(moved[key, method]) for method in methods}
         first = {"clouds": name, "n": len(clouds)}
         share = {method: f"{100.0 * np.mean(v > MOVED_MM):.2f}" for method, v in values.items()}
         yield {**first, "quantity": f"{key}: moved > {MOVED_MM:g} mm", "unit": "%", **share}
@@ -70,8 +70,10 @@ def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, Any]]:
 
 
 def plan(xyz: Float32, method: str) -> GraspPlan:
-    """Return the best grasp on an object seen from above."""
-    return plan_grasps(Cloud(xyz), TOP_VIEW, GeoGraspConfig(method=method))
+    """Return the best grasp on an object seen from above, by a method, or by the default one for a described hand."""
+    if method in METHODS:
+        return plan_grasps(Cloud(xyz), TOP_VIEW, GeoGraspConfig(method=method))
+    return plan_grasps(Cloud(xyz), TOP_VIEW, GeoGraspConfig(), hand=HandConfig(name=method))
 
 
 def distance_mm(before: GraspPlan, after: GraspPlan, change: Change, centre: Float64) -> float:
@@ -87,6 +89,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     add_data(parser)
     parser.add_argument("--all", action="store_true", help="also the clouds that did not tune an earlier method")
+    parser.add_argument(
+        "--hands", nargs="+", metavar="HAND", help="described hands instead of the methods; print alone"
+    )
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("results.csv"))
     options = parser.parse_args()
     paths = sorted(Path(options.data or "").glob("vision2tactile/*/*/cloud-object.pcd"))
@@ -96,9 +101,10 @@ def main() -> None:
     for name, tuned in (("real, tuned on", True), ("real, others", False)):
         if tuned or options.all:
             chosen = [path for k, path in enumerate(paths) if (k % TUNED_ON == 0) == tuned]
-            rows += measure(name, [read_cloud(path).xyz.reshape(-1, 3) for path in chosen])
+            rows += measure(name, [read_cloud(path).xyz.reshape(-1, 3) for path in chosen], options.hands or METHODS)
     print_rows(rows)
-    write_csv(options.out, rows)
+    if not options.hands:
+        write_csv(options.out, rows)
 
 
 if __name__ == "__main__":

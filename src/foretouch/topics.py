@@ -7,6 +7,7 @@ NAMESPACE: Final = "/foretouch"
 """Namespace of the nodes; names below without a slash are relative to it."""
 
 TACTILE_TOPIC: Final = "/rh/tactile"
+COLOUR_TOPIC: Final = "color/image"
 CLOUD_TOPIC: Final = "object_cloud"
 TABLE_TOPIC: Final = "table"
 GRASPS_TOPIC: Final = "grasps"

@@ -16,6 +16,7 @@ from foretouch.config import load_yaml
 from foretouch.errors import ConfigError
 from foretouch.grasp import GeoGraspConfig, HandConfig, Obstacles, plan_grasps
 from foretouch.grasp.frame import PREFERRED
+from foretouch.grasp.geograsp import GraspPlan
 from foretouch.grasp.hand import Hand, HandDescription, hand_files, load_hand
 from foretouch.tactile.description import load_sensor
 from foretouch.types import Float64, Grasps
@@ -204,6 +205,25 @@ def test_a_tall_box_is_taken_from_above_near_its_top() -> None:
 
     every_case(["franka_hand"], check)
     every_case(["robotiq_2f85"], check)
+
+
+def test_a_gripper_is_not_sent_to_what_it_cannot_hold_between_its_jaws() -> None:
+    """A box of 80 mm, which looks narrower: a Franka Hand opens so far that it would meet it, and other hands open farther."""
+    camera, solid = Camera(50.0), box(0.08, 0.12, 0.05)
+    cloud, table = camera.see(solid), camera.table()
+
+    def plan(name: str) -> GraspPlan:
+        return plan_grasps(cloud, table, CONFIG, hand=HandConfig(name=name))
+
+    jaws = plan("franka_hand")
+    assert jaws.status == "no_grasp"
+    assert jaws.counts["n_too_wide"] > 0
+    assert [load_hand(name).is_jaw for name in ("franka_hand", "robotiq_2f140", "shadow_thumb_middle", "two_tips")] == [
+        *(True, True, False, False)
+    ]
+    for name in ("robotiq_2f140", "shadow_thumb_middle"):
+        (grasp,) = plan(name).grasps
+        assert grasp.width_m == pytest.approx(0.08, abs=0.006)
 
 
 def test_the_thumb_takes_the_contact_that_is_asked_for() -> None:

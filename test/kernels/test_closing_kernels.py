@@ -187,6 +187,26 @@ def test_a_line_is_raised_where_a_palm_would_meet_the_object() -> None:
     assert line(0.03, 0.03, (0.0, np.pi / 2.0), lift=0.05)[7] > 0.007  # but where the hand would be in the table
 
 
+def test_points_that_are_hardly_certain_raise_no_line() -> None:
+    """Mirrored points appear and vanish as the camera moves: with next to no weight, and in whatever order, they count for nothing."""
+    palm = np.array([0.03, 0.01, 0.0, 0.0, *[0.03] * 20, *[0.03] * 20])
+
+    def height(points: np.ndarray, weights: np.ndarray) -> float:
+        found = np.empty((1, 1, 10))
+        completed._closing_lines(
+            *(points, weights, len(points), np.array([[0.0, 0.0, np.nan]]), 1, 1, LINES, unseen()),
+            *(np.empty((0, 3)), 0, palm, 1, 20, found),
+        )
+        return float(found[0, 0, 2])
+
+    ghosts = np.mgrid[-0.01:0.011:0.004, -0.01:0.011:0.004, 0.1:0.12:0.004].reshape(3, -1).T
+    both, weights = np.concatenate([ghosts, BLOCK]), np.concatenate([np.full(len(ghosts), 1e-4), np.ones(len(BLOCK))])
+    alone = height(BLOCK, np.ones(len(BLOCK)))
+    assert alone == pytest.approx(0.049, abs=0.003)
+    for order in (slice(None), slice(1, None), slice(None, None, -1)):
+        assert height(both[order].copy(), weights[order].copy()) == pytest.approx(alone, abs=1e-4)
+
+
 def test_how_far_a_hand_can_go_on(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
     recorder = Recorder(hand._hand_clearance, reference.hand_clearance, 2)
     monkeypatch.setattr(hand, "_hand_clearance", recorder)

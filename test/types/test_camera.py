@@ -163,6 +163,7 @@ def test_what_is_no_depth_image_is_refused_in_one_line_that_names_it() -> None:
         ("K: .*a number is too large", depth, [10**400] * 4),
         ("depth: 848x480 is not the size of the camera, 640x480", depth, CameraModel(640, 480, 525, 525, 320, 240)),
         ("depth: dtype uint8 .*: 8 bits hold no depth", depth.astype(np.uint8), K),
+        (r"depth: a/b\.png is a path, not an array: use read_cloud\(path, camera\)", "a/b.png", K),
         (r"depth: shape \(480, 848, 3\) of a colour image is not \(H, W\)", np.zeros((480, 848, 3), np.uint8), K),
         (r"depth: dtype int64 is not uint16 .*; pass depth\.astype\(np\.uint16\)", depth.astype(np.int64), K),
         ("depth: dtype int32 is not .*: its numbers are -1 to 0, not 0 to 65535", np.full((4, 4), -1, np.int32), K),

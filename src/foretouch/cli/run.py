@@ -261,7 +261,10 @@ def _shown_nodes(arguments: argparse.Namespace, source: ImageSource) -> dict[str
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)
     with needs_extras(f"--source {arguments.source}"):
-        return source.nodes(show, arguments.rate)
+        nodes = source.nodes(show, arguments.rate)
+    if arguments.picture and "camera" in nodes:
+        nodes["camera"]["camera.color"] = True
+    return nodes
 
 
 def _replay_parameters(arguments: argparse.Namespace, source: Source) -> dict[str, Any]:

@@ -91,5 +91,7 @@ def check_id(sample_id: str, label: str) -> None:
         raise DatasetError(f"id: {shown(sample_id)} is not a text")
     head, slash, name = sample_id.partition("/")
     if not slash or head != label:
-        raise DatasetError(f"id: {sample_id[:200]!r} is not {label[:100]!r}, a slash and a name")
+        raise DatasetError(
+            f"id: {sample_id[:200]!r} is not {label[:100]!r}, a slash and a name; leave it empty for a number"
+        )
     check_name(name, "id")

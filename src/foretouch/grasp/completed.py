@@ -79,6 +79,7 @@ _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = np.array([0.0625, 0.25, 0.375, 0.25, 0.0625])
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
+_SAME_M = 0.005  # a line with both ends nearer to those of a refused one is refused, too
 _LEAST_M, _MORE_M = -0.002, 0.004  # of clearance, below which a hand does not come, and above which more is of no use
 _SCARCE_DEG = 100.0  # of tilting that the least clearance is worth; half of it is worth a quarter
 _OTHER_THUMB_DEG = (
@@ -231,7 +232,7 @@ class CompletedObject:
         turns = np.zeros((_ANGLES, 3))
         turns[:, 0], turns[:, 2] = _ANGLE, np.nan
         measured = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
-        low, high, height, _, blocker, solid, deeper, raised = measured[:8]
+        height, blocker = measured[[2, 4]]
         slope, refused = _slopes(measured[:2]), self._refused(measured)
         left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
@@ -240,9 +241,7 @@ class CompletedObject:
             alone, left = left, left & ~refused[name]
         counts["n_too_deep"] = 0
         counts["n_free"] = int(np.count_nonzero(left))
-        every = np.minimum(
-            np.nan_to_num(self._cost(high - low, slope, solid, deeper, raised), nan=_MOST_COST), _MOST_COST
-        )
+        every = np.minimum(np.nan_to_num(self._cost(measured, slope), nan=_MOST_COST), _MOST_COST)
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
@@ -273,18 +272,24 @@ class CompletedObject:
         low, high, height, top, blocker = measured[:5]
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius),
-            "n_too_wide": high - low > self._hand.opening,
+            "n_too_wide": self._width(measured) > self._hand.opening,
             "n_too_thin": high - low < _THIN_M,
             "n_blocked": blocker >= 0.0,
         }
 
-    def _cost(self, width: Float64, slope: Float64, solid: Float64, deeper: Float64, raised: Float64) -> Float64:
-        """Return what speaks against each line, with the slopes of both ends (2, ...), how certainly the object is there, and the last two of `_close`."""
-        cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
+    def _width(self, measured: Float64) -> Float64:
+        """Return the width of lines (10, ...) of `_close` that counts for the opening: for jaws from one end of the object to the other, since they meet what is wider."""
+        low, high = measured[8:] if self._hand.hand.is_jaw else measured[:2]
+        return np.asarray(high - low + (self._step_m if self._hand.hand.is_jaw else 0.0), np.float64)
+
+    def _cost(self, measured: Float64, slope: Float64) -> Float64:
+        """Return what speaks against each line (10, ...) of `_close`, with the slopes of both ends (2, ...)."""
+        low, high, _, _, _, solid, deeper, raised = measured[:8]
+        cost = (high - low) / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
         cost += _PLACE_COST + _HOLLOW * (1.0 - solid)
         cost += _DEEP * smoothstep(deeper, 0.0, _DEEPER_M) + (raised / _RAISED_M) ** 2
         opening_m, almost = self._hand.opening, _ALMOST_HAND if self.has_palm else _ALMOST
-        return np.asarray(cost + _WIDE * smoothstep(width, almost * opening_m, opening_m), np.float64)
+        return np.asarray(cost + _WIDE * smoothstep(self._width(measured), almost * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> Float64:
         """Return (2, 3) the contacts of a line [m], where the object ends, in the order of its ends.
@@ -366,6 +371,24 @@ class CompletedObject:
         if self._obstacles is None:
             return np.empty((0, 3))
         return np.ascontiguousarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
+
+    def executed(self, lines: ClosingLines, angle: int, line: int, refine: bool) -> tuple[Float64, WayIn | None, bool]:
+        """Return the contacts of a line (2, 3) and what `way_in` finds for them; of the refined line, where the hand comes there, too.
+
+        Args:
+            lines: The lines of the object.
+            angle: Number of its direction.
+            line: Number of its place.
+            refine: Whether the refined line is wanted.
+        """
+        ends = self.contacts(lines, angle, line) if self.has_palm or not refine else self.refined(lines, angle, line)
+        way, blocked = self.way_in(*ends)
+        if way is not None and self.has_palm and refine:
+            refined = self.refined(lines, angle, line)
+            better, _ = self.way_in(*refined)
+            if better is not None:
+                return refined, better, False
+        return ends, way, blocked
 
     def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:
         """Find how the hand comes to a grasp.
@@ -517,24 +540,28 @@ def best_grasps(completed: CompletedObject, lines: ClosingLines, count: int) -> 
     """
     order = np.argsort(lines.cost, axis=None, kind="stable")[: lines.counts["n_free"]]
     chosen: list[tuple[Float64, WayIn, float]] = []
-    taken = np.empty((0, 2, 3))
+    taken, refused = np.empty((0, 2, 3)), np.empty((0, 2, 3))
     for angle, line in zip(*np.unravel_index(order, lines.cost.shape), strict=True):
         if len(chosen) == count:
             break
         own = lines.ends[angle, line]
-        if (np.linalg.norm(taken - own, axis=2).max(axis=1, initial=0.0) < APART_M).any():
+        if _near(own, taken, APART_M) or _near(own, refused, _SAME_M):
             continue
-        taken = np.concatenate([taken, own[None]])
-        find = completed.contacts if chosen else completed.refined
-        ends = find(lines, int(angle), int(line))
-        way, blocked = completed.way_in(*ends)
+        ends, way, blocked = completed.executed(lines, int(angle), int(line), refine=not chosen)
         if way is None:
             lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
+            refused = np.concatenate([refused, own[None]])
         else:
             if way.thumb_at == "g2":
                 ends, way = ends[::-1], way.with_contacts_swapped()
+            taken = np.concatenate([taken, own[None]])
             chosen.append((ends, way, float(lines.cost[angle, line])))
     return chosen
+
+
+def _near(ends: Float64, others: Float64, distance_m: float) -> bool:
+    """Whether both ends (2, 3) are within a distance of the ends of one of (K, 2, 3) others."""
+    return bool((np.linalg.norm(others - ends, axis=2).max(axis=1, initial=0.0) < distance_m).any())
 
 
 def as_in_image(grasp: Grasp) -> tuple[Float64, Float64]:

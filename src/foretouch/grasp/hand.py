@@ -26,7 +26,7 @@ FINGER, THUMB, PALM = "finger", "thumb", "palm"
 UNLIMITED_M: Final = 10.0
 """Depth of a hand without a palm, and how far it could move on [m]."""
 
-_SPARE_M: Final = 0.003
+_SPARE_M: Final = 0.006
 """Distance that the palm keeps from the object where it can, since sizes and places are estimated."""
 
 _hand_clearance = Kernel("hand_clearance")
@@ -189,6 +189,11 @@ class Hand:
     def limits_depth(self) -> bool:
         """Whether the hand has a palm that an object can meet."""
         return bool(self.depths.min() < UNLIMITED_M)
+
+    @property
+    def is_jaw(self) -> bool:
+        """Whether it is a gripper without joints that bend, whose stroke ends at the opening."""
+        return self.limits_depth and not self.config.joints
 
     @cached_property
     def palm(self) -> Float64:

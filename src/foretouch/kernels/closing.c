@@ -19,6 +19,7 @@
 #define FOUND 10        /* values of a line */
 #define COLUMNS 64      /* of two steps across a direction, for the depth of the object */
 #define TILTS 16        /* angles of a palm, at most */
+#define TOPS_M 0.004f    /* of the grid over the object whose heights the palm must not meet */
 #define EDGE_M 0.012    /* below the top of a line, at least, where a raised line closes */
 #define FIT_M 0.004     /* around a limit of the palm, over which it fades */
 #define UNDER_M 0.004   /* wider than planned, for the free depth of the hand */
@@ -395,25 +396,71 @@ typedef struct {
     const double *lifts, *free; /* lowest height of a line at each angle, upright first; free depths by width, of the middle after those beside it */
     int64_t n_tilts, n_free;
     double free_step, across;   /* from one width to the next; half the extent across the fingers that counts */
-    float tops[2][COLUMNS];     /* second highest point in each column across the direction, beside the middle and in it; the second half of the columns is beyond the centre */
+    float tops[2][COLUMNS];     /* the highest places in each column across the direction, beside the middle and in it; the second half of the columns is beyond the centre */
     int64_t from, to;
     double cosine[TILTS], sine[TILTS], inverse[TILTS]; /* of the angles from straight above; 1 / sine, 0 where it is upright */
 } Palm;
 
-/* The highest columns across a direction; `beside` in steps, shifted; `place` along the direction, the middle between two. */
-INLINE void find_tops(Palm *palm, const float *beside, const float *place, const float *level, int64_t n, float shift, float first, float last) {
-    float highest[2][COLUMNS];
-    memset(highest, 0, sizeof(highest)), memset(palm->tops, 0, sizeof(highest));
+/* Shares of two neighbours in what lies between the first and the second by `part` of their distance: those in the outer half fade out. */
+INLINE void fading(float part, float *shares) {
+    shares[0] = part < 0.5f ? 1.0f : 2.0f - 2.0f * part, shares[1] = part > 0.5f ? 1.0f : 2.0f * part;
+}
+
+/* The second highest point (levels) around each cell of a grid over n points (x, y, level) with weights; points with a small weight fade out, as those
+ * in the outer half of a cell's neighbourhood do, so that no point is taken or left at once.
+ *
+ * tops (3, 4 n): x, y and level of the cells that are not empty; returns their number, 0 without memory. */
+INLINE int64_t height_map(const float *x, const float *y, const float *level, const float *weight, int64_t n, float *tops) {
+    float low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
+    for (int64_t i = 0; i < n; i++) {
+        low[0] = x[i] < low[0] ? x[i] : low[0], high[0] = x[i] > high[0] ? x[i] : high[0];
+        low[1] = y[i] < low[1] ? y[i] : low[1], high[1] = y[i] > high[1] ? y[i] : high[1];
+    }
+    const float corner[2] = {floorf(low[0] / TOPS_M), floorf(low[1] / TOPS_M)}; /* of a grid that does not move with the points */
+    const int64_t columns = (int64_t)(high[1] / TOPS_M - corner[1]) + 2, rows = (int64_t)(high[0] / TOPS_M - corner[0]) + 2;
+    float *cells = n ? calloc((size_t)(rows * columns * 2), sizeof(float)) : NULL;
+    int64_t size = 0;
+    if (!cells) {
+        return 0;
+    }
+    for (int64_t i = 0; i < n; i++) {
+        const float row = x[i] / TOPS_M - corner[0], column = y[i] / TOPS_M - corner[1];
+        const float certain = weight[i] < 0.5f ? 2.0f * weight[i] * level[i] : level[i];
+        float down[2], right[2];
+        fading(row - (float)(int64_t)row, down), fading(column - (float)(int64_t)column, right);
+        for (int64_t k = 0; k < 4; k++) {
+            float *cell = cells + 2 * (((int64_t)row + k / 2) * columns + (int64_t)column + k % 2);
+            const float own = certain * down[k / 2] * right[k % 2], lower = own < cell[0] ? own : cell[0];
+            cell[0] = own > cell[0] ? own : cell[0], cell[1] = lower > cell[1] ? lower : cell[1];
+        }
+    }
+    for (int64_t cell = 0; cell < rows * columns; cell++) {
+        if (cells[2 * cell + 1] > 0.0f) {
+            tops[size] = ((float)(cell / columns) + corner[0]) * TOPS_M, tops[4 * n + size] = ((float)(cell % columns) + corner[1]) * TOPS_M;
+            tops[8 * n + size++] = cells[2 * cell + 1];
+        }
+    }
+    free(cells);
+    return size;
+}
+
+/* The highest columns across a direction, from `n` cells of the map of heights (3, stride), x and y in steps; those within `half` of the middle of the line
+ * are apart from the others. */
+INLINE void find_tops(Palm *palm, const float *tops, int64_t stride, int64_t n, float c, float s, float step, float middle, float half) {
+    memset(palm->tops, 0, sizeof(palm->tops));
     palm->from = COLUMNS, palm->to = 0;
-    for (int64_t i = 0; i < n; i += 2) { /* half of the points are sufficient */
-        const float at = (beside[i] + shift) / 2.0f + (float)(COLUMNS / 2);
-        if (at >= 0.0f && at < (float)COLUMNS) {
-            const int64_t j = (int64_t)at;
-            const int64_t k = place[i] >= first && place[i] <= last;
-            const float lower = level[i] < highest[k][j] ? level[i] : highest[k][j];
-            highest[k][j] = level[i] > highest[k][j] ? level[i] : highest[k][j];
-            palm->tops[k][j] = lower > palm->tops[k][j] ? lower : palm->tops[k][j];
-            palm->from = j < palm->from ? j : palm->from, palm->to = j > palm->to ? j : palm->to;
+    for (int64_t i = 0; i < n; i++) {
+        const float x = tops[i], y = tops[stride + i], level = tops[2 * stride + i];
+        const float at = (c * y - s * x) / (2.0f * step) + (float)(COLUMNS / 2) - 0.5f;
+        if (at >= 0.0f && at < (float)(COLUMNS - 1)) {
+            const int64_t left = (int64_t)at, k = fabsf(c * x + s * y - middle) <= half;
+            float shares[2];
+            fading(at - (float)left, shares);
+            for (int64_t side = 0; side < 2; side++) {
+                float *top = &palm->tops[k][left + side];
+                *top = level * shares[side] > *top ? level * shares[side] : *top;
+            }
+            palm->from = left < palm->from ? left : palm->from, palm->to = left + 1 > palm->to ? left + 1 : palm->to;
         }
     }
 }
@@ -527,6 +574,14 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             used++;
         }
     }
+    int64_t n_tops = 0, free_heights = 0;
+    for (int64_t angle = 0; angle < angles; angle++) {
+        free_heights |= isnan(turns[3 * angle + 2]);
+    }
+    float *tops = n_free && free_heights ? malloc((size_t)n * 12 * sizeof(float)) : NULL;
+    if (tops) {
+        n_tops = height_map(x, y, level, share_of, used, tops);
+    }
     heights.to = highest + 1;
     all.most_lower = (float)highest / 2.0f;
     for (int64_t angle = 0; angle < angles; angle++) {
@@ -556,9 +611,9 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         for (int64_t j = 0; j < bins && used; j++) {
             add_strip(&all, j, highest, from_bin, to_bin, least + j, most + j);
         }
-        if (n_free) {
-            const float inner = (float)(to_bin - from_bin) / 4.0f;
-            find_tops(&hand, beside, place, level, used, -first, (float)from_bin + inner, (float)to_bin - inner);
+        if (n_tops) {
+            const float ends[2] = {((float)from_bin - (float)middle) * ALONG_M, ((float)to_bin - (float)middle) * ALONG_M};
+            find_tops(&hand, tops, 4 * used, n_tops, (float)c, (float)s, (float)step, (ends[0] + ends[1]) / 2.0f, (ends[1] - ends[0]) / 4.0f);
         }
         for (int64_t line = 0; line < lines; line++) {
             const int64_t from = start[2 * line], to = start[2 * line + 8];
@@ -620,5 +675,6 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             }
         }
     }
+    free(tops);
     free(start);
 }

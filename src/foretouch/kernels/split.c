@@ -8,7 +8,9 @@
  * - Input of the trees: sums over each fragment, over the border of two, and over the lines on which one continues in the other
  *   behind a nearer one; from these the shape of a fragment, and FEATURES numbers of both and their border.
  * - Joining: tiny fragments first, then the pairs that the trees rate highest, again with what they have become, then small parts.
- * - Parts: what the fragments of cells have become, for each pixel. */
+ * - Parts: what the fragments of cells have become, for each pixel.
+ *
+ * All steps are INLINE, as only what is inlined in `split_clusters` is compiled for AVX2, too. */
 #include "eigen.h"
 #include "sets.h"
 
@@ -103,7 +105,7 @@ void concave_nodes(const Labelled *v, int64_t stride, int64_t arm, double sag, d
 
 /* CELLS. The mean point of each, by its cluster: of those pixels whose depth is near that of one in the middle. A cell of no cluster
  * has the point in its middle. */
-static void make_cells(graph *g) {
+INLINE void make_cells(graph *g) {
     const Labelled *l = g->of;
     const int64_t k = g->k, h = l->h, w = l->w;
     for (int64_t i = 0, at = 0; i < g->h; i++) {
@@ -152,7 +154,7 @@ INLINE int broken(const graph *g, int64_t i, int64_t o, int64_t before, int64_t 
 }
 
 /* The step in depth across each edge, before there are normals, and how far cells reach without one. */
-static void find_steps(graph *g) {
+INLINE void find_steps(graph *g) {
     for (int64_t y = 0, i = 0; y < g->h; y++) {
         for (int64_t x = 0; x < g->w; x++, i++) {
             g->bends[2 * i] = g->bends[2 * i + 1] = NAN;
@@ -179,7 +181,7 @@ INLINE int8x32 wide(const uint8_t *bytes) {
 }
 
 /* Planes through the inverse depth of the cells around each, without a step between: those of eight cells at once. */
-static void make_normals(graph *g) {
+INLINE void make_normals(graph *g) {
     for (int64_t i = 0; i < g->n; i += 8) {
         const float8 u0 = *(const float8u *)(g->u + i), v0 = *(const float8u *)(g->v + i), d0 = *(const float8u *)(g->d + i);
         float8 m[9] = {{0.0f}}, n[3], size;
@@ -218,7 +220,7 @@ INLINE int64_t walk(const graph *g, int64_t i, int way) {
     return i + (way & 1 ? 1 : -1) * (way & 2 ? g->w : 1) * g->reach[way][i];
 }
 
-static void make_bends(graph *g) {
+INLINE void make_bends(graph *g) {
     for (int64_t k = 0; k < 2 * g->n; k++) {
         const int dir = k & 1;
         if (g->bends[k] == 0.0f) {
@@ -235,7 +237,7 @@ static void make_bends(graph *g) {
 
 /* FRAGMENTS. Distance of cells from the nearest edge that is concave, a step, or that of the cluster: in halves of a cell, 2 to a neighbour
  * and 3 to a diagonal one; 1 beside such an edge, 0 without a normal. Returns the largest. */
-static int32_t find_depths(graph *g) {
+INLINE int32_t find_depths(graph *g) {
     int32_t most = 0, *inside = g->inside;
     for (int64_t i = 0; i < g->n; i++) {
         inside[i] = g->cells[i].n[0] == g->cells[i].n[0] ? INT32_MAX / 2 : 0;
@@ -270,7 +272,7 @@ static int32_t find_depths(graph *g) {
 
 /* Fragments: watersheds of that distance, as a neck between concave edges separates two fragments as well as an edge all
  * along. Cells are added from the innermost on; two fragments that meet are one unless the neck is narrower than both. */
-static void make_fragments(graph *g) {
+INLINE void make_fragments(graph *g) {
     const int32_t innermost = find_depths(g);
     memset(g->root, -1, (size_t)g->n * sizeof(int32_t));
     memset(g->first_of, -1, ((size_t)innermost + 1) * sizeof(int32_t));
@@ -308,7 +310,7 @@ static void make_fragments(graph *g) {
 }
 
 /* INPUT OF THE TREES. The border of two fragments, made if there is none; the first of them is `of[0]`, as it has the smaller number. */
-static border *border_of(graph *g, int32_t a, int32_t b) {
+INLINE border *border_of(graph *g, int32_t a, int32_t b) {
     const int32_t ends[2] = {a < b ? a : b, a < b ? b : a};
     for (int32_t at = g->fragments[ends[0]].first; at >= 0; at = g->borders[at / 2].next[at & 1]) {
         if (g->borders[at / 2].of[!(at & 1)] == ends[1]) {
@@ -344,7 +346,7 @@ INLINE void add(double *sum, const double *p) {
 }
 
 /* Adds a cell to the sums of its fragment. */
-static void add_cell(graph *g, int64_t i) {
+INLINE void add_cell(graph *g, int64_t i) {
     const cell *c = g->cells + i;
     fragment *f = g->fragments + c->part;
     const double *t = g->s + PLANE, height = c->p[0] * t[0] + c->p[1] * t[1] + c->p[2] * t[2] + t[3], side = g->s[PITCH] * c->p[2];
@@ -368,7 +370,7 @@ static void add_cell(graph *g, int64_t i) {
 }
 
 /* Sums of all fragments, and of all borders. */
-static void measure(graph *g) {
+INLINE void measure(graph *g) {
     for (int64_t i = 0; i <= g->n_fragments; i++) {
         g->fragments[i] = (fragment){.top = -INFINITY, .bottom = INFINITY, .accepted = INFINITY, .to = (int32_t)i, .first = -1};
     }
@@ -415,7 +417,7 @@ INLINE float depth_on(const graph *g, int64_t i, int64_t o) {
 
 /* The first cell beyond a nearer part that hides the surface of cell `i`, whose normal is that of cell `a`, on a line of `most` cells;
  * -1 if there is none. */
-static int64_t beyond(const graph *g, int64_t i, const cell *a, int64_t to, int64_t most) {
+INLINE int64_t beyond(const graph *g, int64_t i, const cell *a, int64_t to, int64_t most) {
     int hidden = 0, open = 0; /* cells */
     for (int64_t t = 1; t < most; t++) {
         const int64_t at = i + t * to;
@@ -440,7 +442,7 @@ static int64_t beyond(const graph *g, int64_t i, const cell *a, int64_t to, int6
 }
 
 /* Lines of cells from a fragment to another one behind a nearer one, and those on which their surfaces agree. */
-static void look_behind(graph *g) {
+INLINE void look_behind(graph *g) {
     for (int64_t y = 0, i = 0; y < g->h; y++) {
         for (int64_t x = 0; x < g->w; x++, i++) {
             for (int dir = 0; dir < 2 && g->cells[i].label; dir++) {
@@ -472,7 +474,7 @@ static void look_behind(graph *g) {
 /* The shape of cells by their sums. The axis: the lines along normals that meet it are a linear complex, fitted as by Pottmann and
  * Randrup (Computing 60, 1998): the motion with rotation u and velocity v of the middle q in which the cells move least in the
  * direction of their normals, sum (n v + u (p x n))^2. */
-static void derive(const double *s, shape *is) {
+INLINE void derive(const double *s, shape *is) {
     const double seen = s[SEEN] > 0.0 ? s[SEEN] : 1.0, length = sqrt(dot(s + N, s + N));
     double spread[6], values[3], q[3], v[3] = {0.0}, nn[6], nm[9], mm[6], turn[9], move[9];
     for (int k = 0; k < 3; k++) {
@@ -523,7 +525,7 @@ static void derive(const double *s, shape *is) {
 
 /* Features of two fragments, from which the trees predict whether they are one object: of their border, of the smaller and the
  * larger one, and of both together [m, share]. */
-static void describe(const graph *g, const border *of, double *x) {
+INLINE void describe(const graph *g, const border *of, double *x) {
     const int swap = g->fragments[of->of[0]].sum[AREA] < g->fragments[of->of[1]].sum[AREA];
     const fragment *large = g->fragments + of->of[swap], *small = g->fragments + of->of[!swap], *both[2] = {small, large};
     const double *b = of->sum, *t = g->s + PLANE, sign = swap ? 1.0 : -1.0, length = b[LENGTH] > 0.0 ? b[LENGTH] : 1.0;
@@ -567,7 +569,7 @@ static void describe(const graph *g, const border *of, double *x) {
 
 /* JOINING. Rates a border by trees: log odds that its fragments are one object. With room for it, the row is kept for learning, after the
  * pixels in the middle of both fragments. */
-static void rate(graph *g, border *of) {
+INLINE void rate(graph *g, border *of) {
     double x[FEATURES + 2] = {0.0};
     float row[FEATURES]; /* as the trees have learned from */
     const int64_t inner = ((int64_t)1 << g->trees->depth) - 1;
@@ -617,7 +619,7 @@ INLINE void set_key(graph *g, int64_t k, double key) {
 }
 
 /* Adds border `from` to another one, `turned` if their first fragments differ, and drops it. */
-static void add_border(graph *g, border *to, border *from, int turned) {
+INLINE void add_border(graph *g, border *to, border *from, int turned) {
     from->sum[BEFORE] = turned ? -from->sum[BEFORE] : from->sum[BEFORE], from->sum[STEPPED] = turned ? -from->sum[STEPPED] : from->sum[STEPPED];
     for (int j = 0; j < EDGES; j++) {
         to->sum[j] += from->sum[j];
@@ -627,7 +629,7 @@ static void add_border(graph *g, border *to, border *from, int turned) {
 }
 
 /* Joins fragment b to a, which is rated by log odds: their sums, and their borders with others. */
-static void join_pair(graph *g, int32_t a, int32_t b, double score) {
+INLINE void join_pair(graph *g, int32_t a, int32_t b, double score) {
     fragment *to = g->fragments + a, *from = g->fragments + b;
     to->accepted = fmin(score, fmin(to->accepted, from->accepted));
     to->known = 0, to->seed = from->sum[CELLS] > to->sum[CELLS] ? from->seed : to->seed;
@@ -671,7 +673,7 @@ static void join_pair(graph *g, int32_t a, int32_t b, double score) {
 
 /* How soon a pass joins the fragments of a border, -INFINITY for never: tiny ones across the border that bends least, across a step only
  * where nothing else is beside them; the pair that is rated highest, while that is as one object; at last the small parts. */
-static double key_of(graph *g, border *of, int pass) {
+INLINE double key_of(graph *g, border *of, int pass) {
     const double *a = g->fragments[of->of[0]].sum, *b = g->fragments[of->of[1]].sum;
     const int tiny = a[CELLS] < TINY || b[CELLS] < TINY, small = a[AREA] < g->s[PART_M2] || b[AREA] < g->s[PART_M2];
     if (pass == TINY_ONES) {
@@ -680,7 +682,7 @@ static double key_of(graph *g, border *of, int pass) {
     return pass == RATED_ONES ? (of->score > g->s[SAME] ? of->score : -INFINITY) : (of->sum[LENGTH] > 0.0 && small ? of->score : -INFINITY);
 }
 
-static void join_all(graph *g) {
+INLINE void join_all(graph *g) {
     memset(g->met, -1, ((size_t)g->n_fragments + 1) * sizeof(int32_t));
     for (int64_t k = 0; k < g->n_borders + SOME; k++) {
         g->keys[k] = g->peaks[k / SOME] = -INFINITY;
@@ -728,7 +730,7 @@ static void join_all(graph *g) {
 }
 
 /* PARTS. In `inside`, the part of cells all of whose neighbours that are of a cluster are of it, else 0. */
-static void find_sole_parts(graph *g) {
+INLINE void find_sole_parts(graph *g) {
     for (int64_t i = 0; i < g->n; i++) {
         g->inside[i] = g->cells[i].part;
     }
@@ -746,7 +748,7 @@ static void find_sole_parts(graph *g) {
 }
 
 /* The part of the cell of a pixel's cluster that is nearest: in cells, and in depth by LIKE. */
-static int32_t nearest_part(const graph *g, int64_t y, int64_t x, int32_t label) {
+INLINE int32_t nearest_part(const graph *g, int64_t y, int64_t x, int32_t label) {
     const float z = g->first[3 * (y * g->of->across + x) + 2];
     float best = INFINITY;
     int32_t part = 0;
@@ -766,7 +768,7 @@ static int32_t nearest_part(const graph *g, int64_t y, int64_t x, int32_t label)
 }
 
 /* Writes the parts of pixels over the labels of their clusters, numbered from 1, and which clusters have solid pixels; the number of parts. */
-static int64_t write_parts(graph *g, uint8_t *clusters) {
+INLINE int64_t write_parts(graph *g, uint8_t *clusters) {
     const Labelled *v = g->of;
     int32_t *names = g->root, count = 0;
     memset(names, 0, (size_t)g->n * sizeof(int32_t));
@@ -791,7 +793,7 @@ static int64_t write_parts(graph *g, uint8_t *clusters) {
 }
 
 /* Writes what tells whether each part is a whole object, in the row of its name. */
-static void write_joins(const graph *g, double *joins) {
+INLINE void write_joins(const graph *g, double *joins) {
     const int32_t *names = g->root;
     for (int64_t i = 1; i <= g->n_fragments; i++) {
         const fragment *f = g->fragments + i;

@@ -5,6 +5,7 @@ The ray of each pixel depends on the camera only. It is computed once for a came
 float32; each image then takes two multiplications a pixel. Distortion is undone there too, so that it costs nothing later.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,7 +14,7 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import CloudError, quoted
+from foretouch.errors import CloudError, quoted, shown
 from foretouch.kernels import Kernel, struct
 from foretouch.types.arrays import numbers
 from foretouch.types.summary import Summarised
@@ -278,6 +279,8 @@ def _as_number(name: str, value: Any) -> float:
 
 def as_image(depth: Any) -> npt.NDArray[Any]:
     """Return a depth image as an array; masked pixels are no depth. A `CloudError` if it is no array."""
+    if isinstance(depth, str | os.PathLike):
+        raise CloudError(f"depth: {shown(depth)} is a path, not an array: use read_cloud(path, camera)")
     try:
         return np.asarray(np.ma.filled(depth, 0))
     except (ValueError, OverflowError) as err:

@@ -75,7 +75,7 @@ class Sample(Summarised):
         DatasetError: If the series is not of the sensor of the touch.
     """
 
-    id: str  # `<object>/<source id>`; if it is "", the writer assigns `<object>/<number>`
+    id: str  # `<object>/<name>`, another for each sample; if it is "", `write` assigns `<object>/<number>`
     object: str  # label of the object
     # By factories, since subclasses read their cloud when it is asked for, and must not find a default in the class.
     cloud: Cloud = field(default_factory=lambda: NO_CLOUD)  # the object's cloud on which the grasp was planned

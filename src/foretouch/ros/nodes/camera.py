@@ -25,12 +25,10 @@ from foretouch.errors import CloudError
 from foretouch.ros.messages.clouds import cloud_to_msg, colours_to_msg, depth_to_msgs
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
+from foretouch.topics import COLOUR_TOPIC
 
 DEPTH_TOPIC: Final = "depth/image_rect_raw"
 """Of the depth images, as `realsense2_camera` names it; their infos are beside it."""
-
-COLOUR_TOPIC: Final = "color/image"
-"""Of the colours of their pixels, as `perception` receives them."""
 
 
 @dataclass(frozen=True, kw_only=True)

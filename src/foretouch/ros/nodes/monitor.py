@@ -17,8 +17,9 @@ from typing import Any, Final, TypeAlias
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import Image, PointCloud2
 
+from foretouch.cloud.io.colours import colours_of
 from foretouch.cloud.messages import decode_cloud, decode_objects
 from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SeenObjects
@@ -30,7 +31,7 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileConfig
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
+from foretouch.topics import CLOUD_TOPIC, COLOUR_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.types import Cloud, Sample, stamp_ns
 from foretouch.types.scene import Object
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
@@ -69,12 +70,20 @@ def _is_unfamiliar(prediction: TouchPrediction) -> bool:
     return "unfamiliar" in prediction.flags
 
 
+def _coloured(cloud: Cloud, colours: Image | None) -> Cloud:
+    """Return a cloud with the colours of its pixels; a `CloudError` if they are of another image."""
+    if colours is None or not cloud.organised:
+        return cloud
+    rgb = colours_of(colours, cloud.frame_id, cloud.xyz.shape[:2])
+    return Cloud(cloud.xyz, rgb, cloud.frame_id, cloud.stamp_ns)
+
+
 class MonitorNode(Node):
     """Subscribes to `touch` and /diagnostics; also to the clouds, to draw an answer, and to the hand, to show its readings.
 
     Args:
         namespace: Of the graph.
-        with_clouds: Whether clouds are kept, to draw an answer.
+        with_clouds: Whether clouds and colour images are kept, to draw an answer.
         hand: How the messages of the hand are read; None reads none.
         on_touch: Called with each message of `touch`, in the executor's thread; must return at once.
         sensor: For which touch is predicted.
@@ -102,6 +111,7 @@ class MonitorNode(Node):
         kept = 8 if hand is None else 32  # enough to find the cloud of an answer, or of an executed grasp
         self._scenes: deque[PointCloud2] = deque(maxlen=kept)
         self._objects: deque[PointCloud2] = deque(maxlen=kept)
+        self._colours: deque[Image] = deque(maxlen=kept)
         self._drawable: deque[TouchPredictionArray] = deque(maxlen=kept)
         # The last by whether the model does not know the object, and whether it was touched before.
         self._executed: dict[tuple[bool, bool], Drawable] = {}
@@ -118,6 +128,7 @@ class MonitorNode(Node):
         if with_clouds:
             for topic, clouds in (("points", self._scenes), (CLOUD_TOPIC, self._objects)):
                 self.create_subscription(PointCloud2, topic, partial(self._keep, clouds), qos_profile_sensor_data)
+            self.create_subscription(Image, COLOUR_TOPIC, partial(self._keep, self._colours), qos_profile_sensor_data)
 
     def view(self) -> View:
         """Copy the state."""
@@ -156,15 +167,15 @@ class MonitorNode(Node):
         """Find the clouds of a prediction; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
-            scene_message, object_message = (
-                next((cloud for cloud in reversed(clouds) if stamp_ns(cloud.header.stamp) == stamp), None)
-                for clouds in (self._scenes, self._objects)
+            scene_message, object_message, colours = (
+                next((kept for kept in reversed(messages) if stamp_ns(kept.header.stamp) == stamp), None)
+                for messages in (self._scenes, self._objects, self._colours)
             )
         if object_message is None or object_message.header.frame_id != prediction.header.frame_id:
             return None
         try:
             objects = decode_objects(object_message)
-            scene = None if scene_message is None else decode_cloud(scene_message)
+            scene = None if scene_message is None else _coloured(decode_cloud(scene_message), colours)
         except CloudError:
             return None
         for target in objects:
@@ -224,6 +235,6 @@ class MonitorNode(Node):
                 level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
                 self._view.nodes[status.name] = level, status.message, {pair.key: pair.value for pair in status.values}
 
-    def _keep(self, clouds: deque[PointCloud2], message: PointCloud2) -> None:
+    def _keep(self, messages: deque[Any], message: PointCloud2 | Image) -> None:
         with self._lock:
-            clouds.append(message)
+            messages.append(message)

@@ -28,6 +28,7 @@ from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
 from foretouch.ros.runtime.subscription import InputTopic
+from foretouch.topics import COLOUR_TOPIC
 from foretouch.types import Cloud, UInt8, stamp_ns
 from foretouch.types.camera import DepthImage
 from foretouch.types.cloud import DepthCloud
@@ -35,7 +36,6 @@ from foretouch_msgs.msg import Status
 
 _IMAGE_TOPIC: Final = "depth/image"
 _INFO_TOPIC: Final = "depth/camera_info"
-_COLOUR_TOPIC: Final = "color/image"
 _POINTS_TOPIC: Final = "points"
 _POLL_S: Final = 0.05
 _SILENT_S: Final = 1.0  # without a colour image, after which no depth image waits for one
@@ -106,7 +106,7 @@ class CameraInput(Step):
         if self._node.config.input != "depth" or self._receives_colours == self._shows_colours():
             return
         self._receives_colours = not self._receives_colours
-        topic = self._node.resolve_topic_name(_COLOUR_TOPIC)
+        topic = self._node.resolve_topic_name(COLOUR_TOPIC)
         if self._receives_colours:
             kind = CompressedImage if topic.endswith("/compressed") else Image
             self._node.subscribe(InputTopic(topic, kind, latched=None), self._receive_colours)
@@ -149,7 +149,7 @@ class CameraInput(Step):
             counts = {"received": self._received, **self._colours.counts}
             report.values |= {f"color.{name}": str(count) for name, count in counts.items()}
             if time.monotonic() - self._colourless_s < _RECENT_S:
-                report.warnings.append(f"{_COLOUR_TOPIC}: {self._colours.fault}")
+                report.warnings.append(f"{COLOUR_TOPIC}: {self._colours.fault}")
 
     def _camera(self, frame: str, shape: Any) -> Any:
         with self._changed:

@@ -2,6 +2,7 @@
 """A dataset: its samples, their hash, and the parts that a model is trained and tested on."""
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,7 +15,7 @@ from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet, only_finite
 from foretouch.dataset.store import Store, content_sha256, sample_digest
 from foretouch.dataset.vision2tactile import folder_sha256
-from foretouch.errors import DatasetError, none_of
+from foretouch.errors import DatasetError, none_of, quoted
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
 from foretouch.tactile.description import Sensor, packaged_sensor, sensor_files
@@ -208,8 +209,10 @@ def dataset_of(
     """
     if not samples:
         raise DatasetError(f"{name}: holds no sample")
-    if len({sample.id for sample in samples}) != len(samples):
-        raise DatasetError(f"{path or name}: two samples have one id")
+    (repeated, times), *_ = Counter(sample.id for sample in samples).most_common(1)
+    if times > 1:
+        cure = "give each another name after the slash" if repeated else 'name each, such as "cup/1"'
+        raise DatasetError(f"{path or name}: {times} samples have the id {quoted(repeated)}: {cure}")
     labels = [sample.touch for sample in samples if sample.touch is not None]
     if sensor is None:
         known = labels[0].channels.sensor if labels else BIOTAC_SP.config.name
