@@ -70,17 +70,17 @@ class DepthAround:
         way = contacts[:, None] + np.arange(_STEPS)[:, None] * step_m * outwards[:, None]
         z, across, depth = way[..., 2], self.camera[0], self._depths(way)
         nothing = np.isnan(depth)
-        through = depth > z + _BEHIND_M  # also what is out of view
-        number = np.arange(_STEPS)
-        first = np.where(nothing.any(axis=1), nothing.argmax(axis=1), _STEPS)
-        first = np.where(np.where(through.any(axis=1), through.argmax(axis=1), _STEPS) < first, _STEPS, first)
-        behind = ~nothing & (number > first[:, None])
+        stopped = nothing | (depth > z + _BEHIND_M)  # or seen through, also what is out of view
+        row, first = np.arange(len(way)), stopped.argmax(axis=1)
+        unseen = nothing[row, first]
+        if not unseen.any():
+            return np.zeros(len(way))
+        behind = ~nothing & (np.arange(_STEPS) > first[:, None])
         last = np.where(behind.any(axis=1), behind.argmax(axis=1), _STEPS)
-        row, start = np.arange(len(way)), np.minimum(first, _STEPS - 1)
-        near, far = z[row, start], depth[row, np.minimum(last, _STEPS - 1)]
+        near, far = z[row, first], depth[row, np.minimum(last, _STEPS - 1)]
         expected = np.where(last < _STEPS, _BASELINE_M * np.abs(1.0 - near / far), 0.0)
         expected += _SPARE_M + _SPARE_PIXELS * near / across[0]
-        return np.where(first < _STEPS, np.maximum((last - first) * step_m - expected, 0.0), 0.0)
+        return np.where(unseen, np.maximum((last - first) * step_m - expected, 0.0), 0.0)
 
     def _depths(self, places: Float64) -> Float32:
         """Return the depth [m] in the pixels of places (..., 3); NaN where there is none, and infinity out of view."""
@@ -114,7 +114,7 @@ class DepthAround:
         with np.errstate(invalid="ignore"):  # of two pixels out of view
             settled = np.abs(depth[..., 1:] - depth[..., :-1]) < _BEHIND_M + _STEEP * step_m
         first, second = ~settled[..., 0], ~settled[..., 1]
-        seen = own[np.minimum(np.maximum(rows, 0), len(own) - 1), np.minimum(np.maximum(columns, 0), own.shape[1] - 1)]
+        seen = own.reshape(-1).take(rows * own.shape[1] + columns, mode="clip")  # also what is out of view
         return ~seen.all(axis=-1), first * (1 + second)
 
     def beside(self, g1: Float64, g2: Float64) -> Float64:
