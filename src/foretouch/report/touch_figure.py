@@ -70,6 +70,7 @@ def save_touch_picture(
         scenes: Whether the images are drawn; else each object is drawn alone, and its fingers beside each other.
     """
     view = TaxelView(sensor)
+    scenes = scenes and any(grasp.target is not None for grasp in grasps)
     tared = all(view.has_rest(grasp.rest) for grasp in grasps if grasp.read or grasp.prediction.ok)
     columns = [_columns(grasp, view, tared=tared) for grasp in grasps]
     all_columns = [column for row in columns for column in row]

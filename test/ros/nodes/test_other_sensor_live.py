@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictions of a uSkin: topic, markers, screen and picture."""
 
+from argparse import Namespace
+
 import numpy as np
 import pytest
 from calibrated_models import make_calibration
@@ -55,7 +57,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     for words in ("Z_TH", "Z_FF", "±", "last prediction (counts) by constant"):
         assert words in shown.get()
     target = Object.of("1", can_with_grasps(1)[0], ASSUMED_TABLE)
-    _draw([(None, target, one, None)], str(tmp_path / "a.png"), sensor)
+    _draw([(None, target, one, None)], Namespace(picture=str(tmp_path / "a.png"), model=None, predictor=None), sensor)
     assert (tmp_path / "a.png").stat().st_size > 10_000
     (warning,) = [text for text in node.reported().warnings if "adapt" in text]
     assert "/rh/tactile: is of biotac_sp" in warning
