@@ -77,7 +77,9 @@ def main() -> None:
     if not received or not sampled.grasps:
         raise SystemExit(f"no grasp: {sampled.grasp_state}")
     header = sampled.grasp_candidates[0].header
-    names = ("pre-grasp: open the gripper", "grasp: close it until both fingers touch", "lift")
+    open_mm = 1e3 * sampled.grasps[0].width_at_most_m
+    opened = f"pre-grasp: open the gripper by {open_mm:.0f} mm or more"
+    names = (opened, "grasp: close it until both fingers touch", "lift")
     for name, pose in zip(names, poses_of(sampled.grasps[0], np.array(table.plane.coef[:3])), strict=True):
         moved_to = result_of(node, MoveGroup, "/move_action", goal_of(PoseStamped(header=header, pose=pose)))
         if moved_to.error_code.val != MoveItErrorCodes.SUCCESS:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processor time of an answer to a depth image with and without aligned colours beside it, in turns, and what is lost at 30 Hz (see README.md)."""
+"""Processor time of an answer to a depth image with and without aligned colours beside it, in turns, and what is lost at a rate (see README.md)."""
 
 import argparse
 import itertools
@@ -15,7 +15,6 @@ from benchmarks.transport.bench import NOW, Bench, Condition, scenes
 from benchmarks.transport.outputs import burst
 from foretouch.ros.messages.clouds import colours_to_msg, depth_to_msgs
 
-RATE_HZ = 30.0
 COUNTS = ("received", "used", "lost_on_the_way", "color.received", "color.paired", "color.unpaired", "color.refused")
 
 
@@ -44,7 +43,8 @@ class ColourBench(Bench):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--turns", type=int, default=20)
-    parser.add_argument("--seconds", type=float, default=10.0, help="length of the run at 30 Hz [s]")
+    parser.add_argument("--seconds", type=float, default=10.0, help="length of the run at a rate [s]")
+    parser.add_argument("--rate", type=float, default=30.0, help="images a second in that run [Hz]")
     options = parser.parse_args()
     bench = ColourBench()
     graph = spawn(NOW, {"diagnostics_period_s": 0.5, "grasp_hold": 0.0})
@@ -70,12 +70,12 @@ def main() -> None:
         for bench.coloured in (False, True):
             bench.received()
             before = dict(bench.report(NOW[0]))
-            stamps = bench.send_at(inputs, RATE_HZ, options.seconds)
+            stamps = bench.send_at(inputs, options.rate, options.seconds)
             bench.received()
             after = bench.report(NOW[0])
             counts = (f"{name} {int(after.get(name, 0)) - int(before.get(name, 0))}" for name in COUNTS)
             who = "depth and colours" if bench.coloured else "depth alone"
-            print(f"{who} at {RATE_HZ:g} Hz: sent {len(stamps)}, {', '.join(counts)}")
+            print(f"{who} at {options.rate:g} Hz: sent {len(stamps)}, {', '.join(counts)}")
     finally:
         end(graph)
         bench.leave()

@@ -60,12 +60,17 @@ def test_the_check_of_the_page_finds_no_fault_of_the_simulated_hand(tmp_path):
     page = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
     commands = re.search(r"On the simulated hand.*?```sh\n(.*?)```", page, re.DOTALL)[1]
     (tmp_path / "examples").symlink_to(ROOT / "examples")
-    script = f'foretouch() {{ {sys.executable} -m foretouch "$@"; }}\n' + commands
+    command = tmp_path / "bin" / "foretouch"
+    command.parent.mkdir()
+    command.write_text(f'#!/bin/sh\nexec {sys.executable} -m foretouch "$@"\n', encoding="utf-8")
+    command.chmod(0o755)
+    environment = process_environment()
+    environment["PATH"] = f"{command.parent}:{environment['PATH']}"
     done = subprocess.run(
-        ["bash", "-c", script],
+        ["bash", "-c", commands],
         check=False,
         cwd=tmp_path,
-        env=process_environment(),
+        env=environment,
         capture_output=True,
         text=True,
         timeout=120,
