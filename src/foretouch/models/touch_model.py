@@ -289,6 +289,8 @@ class TouchModel(Summarised):
             if self.card.get("kind") != OWN:  # an error of foretouch is reported as one
                 raise
             raise ModelError(f"{self.name}: estimate: {described(err)}{_line_of(err)}") from err
+        if isinstance(answer, Estimate) and self.card.get("kind") != OWN:
+            return answer
         try:
             return Estimate.of(answer, len(grasps), self.sensor.channels.size)
         except ModelError as err:
