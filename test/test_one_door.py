@@ -66,7 +66,10 @@ ALLOWED: dict[str, dict[str, str]] = {
     "numpy.loadtxt": {"src/foretouch/cloud/io/point_files.py": "of bytes"},
     "scipy.io.loadmat": {"src/foretouch/cloud/io/depth_files.py": "of bytes, after their sizes were checked"},
     "scipy.io.whosmat": {"src/foretouch/cloud/io/depth_files.py": "of bytes"},
-    "trimesh.load": {"src/foretouch_lab/simulation/objects/mesh.py": "of bytes, in a format that is named"},
+    "trimesh.load": {
+        "src/foretouch_lab/simulation/hand_surface.py": "of bytes, in a format that is named",
+        "src/foretouch_lab/simulation/objects/mesh.py": "of bytes, in a format that is named",
+    },
     "safetensors.numpy.load_file": {"src/foretouch/cloud/segmentation/parts.py": "weights of the package"},
     "sqlite3.connect": {"src/foretouch/dataset/bag_files.py": "the check of SQLite files, with a limit of steps"},
     "rosbags.rosbag1.Reader": {"src/foretouch/dataset/bag_files.py": "of regular files, with limits of unpacking"},

@@ -25,7 +25,7 @@ def _with_references(cloud: Cloud, config: SegmentationConfig) -> Scene:
         for module, names in (
             (segment_module, {"_count_depths": "count_range", "_every": "every", "label_organised": "label_organised"}),
             (plane, {"_counts": "counts", "_near": "near", "_residuals": "residuals"}),
-            (objects, {"_clusters": "clusters", "_write_ids": "write_ids"}),
+            (objects, {"_candidates": "candidates", "_write_ids": "write_ids"}),
         ):
             for name, other in names.items():
                 patch.setattr(module, name, getattr(reference, other))

@@ -122,14 +122,15 @@ class Cloud(Summarised):
 
     def depths(self, rows: Index, columns: Index) -> Float32:
         """Return the depths of pixels (...) of an organised cloud [m]; NaN where there is none, and infinity out of view."""
-        height, width = self._shape
+        height, width = self.shape
         inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
         depths = self._depths(np.where(inside, rows, 0), np.where(inside, columns, 0))
         depths[~inside] = np.inf
         return depths
 
     @property
-    def _shape(self) -> tuple[int, ...]:
+    def shape(self) -> tuple[int, ...]:
+        """(H, W) of an image, or (N,) of a list of points."""
         return self.xyz.shape[:-1]
 
     def _depths(self, rows: Index, columns: Index) -> Float32:
@@ -185,8 +186,9 @@ class DepthCloud(Cloud):
         return self.image.points()
 
     @property
-    def _shape(self) -> tuple[int, ...]:
-        return super()._shape if self.image is None else self.image.shape
+    def shape(self) -> tuple[int, ...]:
+        """(H, W) of the image."""
+        return super().shape if self.image is None else self.image.shape
 
     def _depths(self, rows: Index, columns: Index) -> Float32:
         return super()._depths(rows, columns) if self.image is None else self.image.depths(rows, columns)

@@ -194,8 +194,8 @@ class Scene(Summarised):
         for name in ("objects", "background", "targets"):
             if wrong := [one for one in getattr(self, name) if not isinstance(one, Object)]:
                 raise CloudError(f"{name}: holds {type(wrong[0]).__name__}, not Object")
-        if self.labels.shape != self.cloud.xyz.shape[:-1]:
-            raise CloudError(f"labels: shape {self.labels.shape} is not {self.cloud.xyz.shape[:-1]}, of the cloud")
+        if self.labels.shape != self.cloud.shape:
+            raise CloudError(f"labels: shape {self.labels.shape} is not {self.cloud.shape}, of the cloud")
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         return f"{self.status}, {counted(len(self.objects), 'object')}", {

@@ -9,8 +9,8 @@ import numpy as np
 from scipy import ndimage
 
 from foretouch.cloud.segmentation.clusters import CLOSE_SLOPE, FLYING_SLOPE, MAX_SLOPE, Clusters, in_range, pixel_pitch
+from foretouch.cloud.segmentation.objects import Candidate
 from foretouch.types.camera import DepthImage
-from foretouch.types.scene import Object
 
 Array = np.ndarray[Any, Any]
 
@@ -50,8 +50,8 @@ def _heights(plane, xyz) -> Array:
     return xyz[..., 0] * a + xyz[..., 1] * b + xyz[..., 2] * c + d
 
 
-def clusters(flat, window, width: int, plane, shape) -> Iterator[tuple[int, Object, float]]:
-    """The solid points of each label."""
+def candidates(flat, number: int, window, width: int, plane) -> Iterator[Candidate]:
+    """The solid points of each label, as `foretouch.cloud.segmentation.objects` names their facts."""
     h, w = window.labels.shape
     at = (np.arange(h) + window.rows)[:, None] * width + np.arange(w) + window.columns
     for label in range(1, window.n_labels + 1):
@@ -61,7 +61,7 @@ def clusters(flat, window, width: int, plane, shape) -> Iterator[tuple[int, Obje
             columns = part.xyz.T.astype(np.float64, order="C")
             bounds = np.stack([columns.min(axis=1), columns.max(axis=1)])
             top = _heights(plane.coefficients.astype(np.float32), part.xyz).max()
-            yield label, Object("0", part, plane, columns.mean(axis=1), bounds, pixels, shape), top
+            yield Candidate(part, columns.mean(axis=1), bounds, pixels, float(top), number, label)
 
 
 def write_ids(image, window, ids) -> int:

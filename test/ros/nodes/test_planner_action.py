@@ -57,7 +57,7 @@ def test_a_planner_gets_all_grasps_in_one_feedback_of_its_type(graph, model_card
     assert headers == [(CAMERA, 11)] * 5
     assert not feedback[0].grasps  # no field but those of MoveIt
     for name, reason in (
-        ("nothing", "hand.name: nothing: is neither a file nor one of franka_hand"),
+        ("nothing", "hand.name: nothing: is neither a file nor one of allegro_index_thumb, franka_hand"),
         ("", "hand.name: "),
     ):
         (answer,) = node.set_parameters([Parameter("hand.name", value=name)])

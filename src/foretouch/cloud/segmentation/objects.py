@@ -58,12 +58,12 @@ def extract_objects(
     flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
     image = np.atleast_2d(labels)
     shape = image.shape if cloud.organised else None
-    standing: list[tuple[_Part, tuple[str, ...]]] = []  # with the flags of the object
-    behind: list[tuple[_Part, str]] = []  # with the reason
+    standing: list[tuple[Candidate, tuple[str, ...]]] = []  # with the flags of the object
+    behind: list[tuple[Candidate, str]] = []  # with the reason
     rejected = []
     first = 0  # label of the window among all labels
     for number, window in enumerate(windows):
-        for part in _parts(flat, number, window, image.shape[1], threshold.plane):
+        for part in _candidates(flat, number, window, image.shape[1], threshold.plane):
             reason = "" if found is None else REASONS[found.reasons[first + part.label]]
             if reason == ENTERS or (reason and part.cloud.size >= config.min_points):
                 behind.append((part, reason))
@@ -90,7 +90,7 @@ def extract_objects(
     return tuple(objects), background, counts
 
 
-class _Part(NamedTuple):
+class Candidate(NamedTuple):
     """A cluster of a window, of which an object may be made."""
 
     cloud: Cloud  # its solid points
@@ -111,7 +111,7 @@ class _Part(NamedTuple):
         return Object(object_id, self.cloud, plane, self.centroid, self.bounds, self.pixels, shape, **facts)
 
 
-def _parts(flat: Cloud, number: int, window: Clusters, width: int, plane: Plane) -> Iterator[_Part]:
+def _candidates(flat: Cloud, number: int, window: Clusters, width: int, plane: Plane) -> Iterator[Candidate]:
     """Iterate over the clusters of a window with solid points."""
     count, size = int(np.count_nonzero(window.solid)), window.n_labels + 1
     ends, pixels, points = np.empty(size, np.int64), np.empty(count, np.int64), np.empty((count, 3), np.float32)
@@ -125,11 +125,11 @@ def _parts(flat: Cloud, number: int, window: Clusters, width: int, plane: Plane)
             part = Cloud(points[start:end], rgb, flat.frame_id, flat.stamp_ns)
             centroid = np.add.reduce(columns[:, start:end], axis=1) / (end - start)  # in half the time of mean
             box = bounds[cluster].astype(np.float64)
-            yield _Part(part, centroid, box, pixels[start:end], float(tops[cluster]), number, cluster)
+            yield Candidate(part, centroid, box, pixels[start:end], float(tops[cluster]), number, cluster)
         start = end
 
 
-def _plausible(part: _Part, threshold: HeightThreshold, config: ClusterConfig) -> bool:
+def _plausible(part: Candidate, threshold: HeightThreshold, config: ClusterConfig) -> bool:
     """Neither speckle nor noise or waves of the table, nor a wall."""
     waves_m = 2.0 * threshold.noise_per_m * part.centroid[2] ** 2
     return bool(

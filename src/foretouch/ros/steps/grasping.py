@@ -81,13 +81,16 @@ class GraspStep(Step):
             message: The grasps, in the frame of the cloud.
             placement: Of their poses.
         """
+        self._publish(message, placement)
+
+    def refuse(self, header: Header, status: int, reason: str) -> None:
+        """Publish that there is no grasp, and why; also where the grasps of this cloud could not be published."""
+        self._publish(GraspArray(header=header, status=status, reason=reason), Placement(header))
+
+    def _publish(self, message: GraspArray, placement: Placement) -> None:
         self._grasps.publish(message)
         if self._poses is not None and self._poses.get_subscription_count():
             self._poses.publish(poses_to_msg(message, placement))
-
-    def refuse(self, header: Header, status: int, reason: str) -> None:
-        """Publish that there is no grasp, and why."""
-        self.publish(GraspArray(header=header, status=status, reason=reason), Placement(header))
 
 
 def grasps_to_msg(targets: Sequence[Object], plans: Sequence[GraspPlan], header: Header, note: str = "") -> GraspArray:
