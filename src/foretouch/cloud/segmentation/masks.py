@@ -95,8 +95,8 @@ def _checked(mask: npt.ArrayLike, cloud: Cloud) -> Int32:
         raise CloudError(
             f"mask: the cloud is a list of {cloud.size} points; a mask needs an image, such as of Cloud.from_depth"
         )
-    if labels.shape != cloud.xyz.shape[:2]:
-        height, width = cloud.xyz.shape[:2]
+    if labels.shape != cloud.shape:
+        height, width = cloud.shape
         raise CloudError(f"mask: shape {labels.shape} is not ({height}, {width}), the rows and columns of the image")
     if labels.dtype.kind not in "biu":
         raise CloudError(
