@@ -165,5 +165,5 @@ def test_an_installed_package_names_its_predictors(tmp_path) -> None:
     done = subprocess.run(call, env=environment, capture_output=True, text=True, timeout=120, check=True)
     found, misspelt, other = done.stdout.splitlines()
     assert found == "Widths"
-    assert misspelt.endswith("of which lab-widths are installed; did you mean lab-widths?")
+    assert misspelt.endswith("of which lab-widths are known; did you mean lab-widths?")
     assert "lab_touch:Widths answers other numbers than the predictor of this model, own_predictors:Constant" in other

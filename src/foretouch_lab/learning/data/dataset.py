@@ -3,7 +3,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -238,7 +238,10 @@ def dataset_from(samples: SampleSet | Sequence[Sample] | str | Path) -> Dataset:
         return load_dataset(samples)
     if isinstance(samples, SampleSet):
         return dataset_of(list(samples), samples.path.name, samples.sensor)
-    listed = list(samples) if isinstance(samples, Iterable) else [samples]
+    try:
+        listed = list(samples)
+    except TypeError:  # of one thing, also of an array without axes
+        listed = [samples]
     for number, sample in enumerate(listed):
         if not isinstance(sample, Sample):
             rule = "is not a Sample; pass a list of them, the path of a dataset, or what open(PATH) gives"
