@@ -59,8 +59,52 @@ def test_a_package_adds_a_command_and_an_action(tmp_path) -> None:
     assert err == "foretouch: command bad: absent_module is not installed: pip install --force-reinstall others\n"
 
 
+def test_a_broken_package_keeps_nobody_from_the_rest(tmp_path) -> None:
+    parts = {
+        "foretouch.formats": {
+            "number": "their_faults:NUMBER",
+            "absent": "their_faults:ABSENT",
+            "broken": "their_error",
+        },
+        "foretouch.commands": {
+            "garbled": "a b c",
+            "share": "their_faults:SHARE",
+            "nothing": "their_faults:NOTHING",
+            "dataset.info": "their_faults:SHARE",
+            "dataset.bad": "their_error",
+        },
+    }
+    code = (
+        "from foretouch.cli.commands import CommandEntry\nNUMBER = 3\n"
+        "SHARE = CommandEntry('Print 100 % of it', 'absent_module', 'foretouch share 5%')\n"
+        "NOTHING = CommandEntry('Do nothing', 'json', 'foretouch nothing')\n"
+    )
+    install(tmp_path / "site", parts, {"their_faults": code, "their_error": "1 / 0\n"})
+    can = str(Path(__file__).parents[1] / "examples/data/can.ply")
+    status, out, told = foretouch(tmp_path / "site", "grasp", can, "--plane", "0,0,1,-1.27", "--json")
+    assert (status, out.startswith("{"), "Traceback" in told) == (0, True, False)
+    status, out, told = foretouch(tmp_path / "site", "dataset", "info", "--help")
+    assert (status, "Print counts and ranges" in out, "Traceback" in told) == (0, True, False)
+    assert "foretouch: format number: their_faults:NUMBER is a int and no FormatEntry" in told
+    status, out, told = foretouch(tmp_path / "site", "--help")
+    assert (status, "100 % of it" in out, "Traceback" in told) == (0, True, False)
+    lines = {
+        "garbled": "foretouch: command garbled: a b c cannot be imported: ",
+        "share": "foretouch: command share: absent_module cannot be imported: ModuleNotFoundError",
+        "nothing": "foretouch: command nothing: json has no function add_arguments",
+    }
+
+    def check(name: str, line: str) -> None:
+        status, _, told = foretouch(tmp_path / "site", name)
+        assert status == 1
+        assert told.splitlines()[-1].startswith(line)
+        assert "Traceback" not in told
+
+    every_case({name: (name, line) for name, line in lines.items()}, check)
+
+
 def test_a_package_adds_a_source_and_a_recipe(tmp_path, monkeypatch) -> None:
-    code = "class Mine:\n    def nodes(self, show, rate_hz): return {'camera': {'source': 'mine'}}\nSOURCE = Mine()\nQUICK = {'method': 'contact', 'contact': {'trees': 7}}\n"
+    code = "class Mine:\n    def nodes(self, show, rate_hz): return {'camera': {'source': 'mine'}}\n    def device(self, show, fps, *, color): ...\nSOURCE = Mine()\nQUICK = {'method': 'contact', 'contact': {'trees': 7}}\n"
     parts = {"foretouch.sources": {"mine": "their_parts:SOURCE", ".mine": "their_parts:SOURCE"}}
     install(tmp_path, parts | {"foretouch.recipes": {"quick": "their_parts:QUICK"}}, {"their_parts": code})
     monkeypatch.syspath_prepend(tmp_path)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
 import numpy.typing as npt
 
 from foretouch.dataset.formats import open_samples
@@ -95,7 +96,8 @@ def plan(
     }
     for name, (key, value) in given.items():
         if value is not None:
-            pipeline.config = pipeline.config.updated({key: value}, name)
+            plain = value.item() if isinstance(value, np.generic) else value
+            pipeline.config = pipeline.config.updated({key: plain}, name)
     return pipeline.plan(target).grasps
 
 

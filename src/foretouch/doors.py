@@ -15,6 +15,7 @@ What `foretouch_lab` brings stands in `setup.py`, in the same way. A robot needs
 """
 
 import functools
+import logging
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -31,6 +32,7 @@ _OPTIONAL: Final = {
     "trimesh": "trimesh",
 }
 """Distributions of the extra `lab`, by the name under which they are imported."""
+_LOG: Final = logging.getLogger(__name__)
 _OF_ROS: Final = ("rclpy", "_msgs", "_srvs", "_interfaces")  # ends of names of modules
 
 
@@ -69,20 +71,25 @@ class Door:
         if part is not None and not isinstance(part, str):
             return part
         entry = EntryPoint(name, part, self.group) if part else self._added(name, user)
-        try:
-            with needs_extras(user):
-                part = entry.load()
-        except ForetouchError:
-            raise
-        except (Exception, SystemExit) as err:
-            package = entry.module.partition(".")[0]
-            if isinstance(err, ModuleNotFoundError) and (err.name or "").partition(".")[0] == package and entry.dist:
-                cure = f"pip install --force-reinstall {entry.dist.name}"
-                raise MissingDependencyError(f"{user}: {package} is not installed: {cure}") from err
-            raise ConfigError(f"{user}: {entry.value} cannot be imported: {described(err)}") from err
+        with reported(user, entry.value, entry.dist.name if entry.dist else ""):
+            part = entry.load()
         if not isinstance(part, self.kind):
             raise ConfigError(f"{user}: {entry.value} is a {type(part).__name__} and no {self.kind.__name__}")
         return part
+
+    def loaded(self, beginning: str = "", *, tell: bool = True) -> Iterator[tuple[str, Any]]:
+        """Iterate over parts by name, without those that cannot be imported: others go on without them.
+
+        Args:
+            beginning: Of the names.
+            tell: Whether each of those is a line in the log.
+        """
+        for name in (one for one in self if one.startswith(beginning)):
+            try:
+                yield name, self.load(name)
+            except ForetouchError as err:
+                if tell:
+                    _LOG.warning("foretouch: %s", err)
 
     def _added(self, name: str, user: str) -> EntryPoint:
         if name in (added := self._installed()).names:
@@ -108,6 +115,32 @@ def _entry_points(group: str, path: tuple[str, ...]) -> EntryPoints:  # noqa: AR
 
 FUNCTIONS: Final = Door("foretouch.functions", "function")
 """What is asked of the laboratory by functions of foretouch: to train, calibrate and score models, and to measure a hand."""
+
+
+@contextmanager
+def reported(user: str, place: str, package: str = "") -> Iterator[None]:
+    """Report what another package's code raises when it is imported in one line.
+
+    Args:
+        user: What needs it.
+        place: What is imported, `module` or `module:attribute`.
+        package: That brings it, if it is known.
+
+    Raises:
+        MissingDependencyError: If a library is not installed, or the package itself.
+        ConfigError: If it cannot be imported for another reason.
+    """
+    try:
+        with needs_extras(user):
+            yield
+    except ForetouchError:
+        raise
+    except (Exception, SystemExit) as err:
+        module = place.partition(":")[0].partition(".")[0].strip()
+        if package and isinstance(err, ModuleNotFoundError) and (err.name or "").partition(".")[0] == module:
+            cure = f"pip install --force-reinstall {package}"
+            raise MissingDependencyError(f"{user}: {module} is not installed: {cure}") from err
+        raise ConfigError(f"{user}: {shown(place)} cannot be imported: {described(err)}") from err
 
 
 @contextmanager

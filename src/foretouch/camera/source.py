@@ -2,12 +2,13 @@
 """What is shown in place of a camera: a scene of the laboratory, or a source of another package."""
 
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, runtime_checkable
 
 from foretouch.camera.config import ScheduleConfig
 from foretouch.doors import Door
 
 
+@runtime_checkable
 class ImageSource(Protocol):
     """A source of depth images that stands for a camera.
 
@@ -41,7 +42,7 @@ class ImageSource(Protocol):
         ...
 
 
-SOURCES: Final = Door("foretouch.sources", "source")
+SOURCES: Final = Door("foretouch.sources", "source", kind=ImageSource)
 """The sources that installed packages add."""
 
 

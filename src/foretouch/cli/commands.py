@@ -9,7 +9,8 @@ import importlib
 from types import ModuleType
 from typing import Final, NamedTuple
 
-from foretouch.doors import Door, needs_extras
+from foretouch.doors import Door, reported
+from foretouch.errors import ConfigError
 
 
 class CommandEntry(NamedTuple):
@@ -30,9 +31,13 @@ class CommandEntry(NamedTuple):
     has_json: bool = True
 
     def load(self, name: str) -> ModuleType:
-        """Import the module; a `MissingDependencyError` if a library that it needs is not installed."""
-        with needs_extras(name):
-            return importlib.import_module(self.module)
+        """Import the module; a `ConfigError` if it cannot be, or a `MissingDependencyError` if a library that it needs is not installed."""
+        with reported(f"command {name}", str(self.module)):
+            module = importlib.import_module(self.module)
+        for function in ("add_arguments", "run"):
+            if not callable(getattr(module, function, None)):
+                raise ConfigError(f"command {name}: {self.module} has no function {function}")
+        return module
 
 
 COMMANDS: Final = Door(

@@ -86,9 +86,10 @@ def add_arguments(parser: CommandParser) -> None:
     count = "number of samples, evenly spaced over the dataset"
     show.add_argument("-n", "--count", type=positive_number, default=_SHEET_SAMPLES, help=count)
 
-    for name in (one for one in COMMANDS if one.startswith("dataset.")):
-        command: CommandEntry = COMMANDS.load(name)
+    for name, command in COMMANDS.loaded("dataset."):
         words = name.replace(".", " ")
+        if words.partition(" ")[2] in {"", *parser.commands}:
+            continue
         added = _action(parser, words.split()[1], partial(_added, command, words), command.summary, command.example)
         command.load(words).add_arguments(added)
 

@@ -73,6 +73,10 @@ def _prepare_streams() -> None:
 
 
 def _run(arguments: list[str]) -> int:
+    words = [word for word in arguments if not word.startswith("-")]
+    for name in (".".join(words[:count]) for count in (1, 2)):  # a command, or an action of one
+        if name in COMMANDS:
+            COMMANDS.load(name)
     parser = command_parser(arguments[0] if arguments else None)
     parsed = _parse(parser, arguments)
     if parsed.command is None:
@@ -104,16 +108,8 @@ def command_parser(chosen: str | None) -> CommandParser:
         prog="foretouch", description="Plan two-finger grasps, and predict what tactile fingertips will read."
     )
     parser.add_argument("--version", action="version", version=f"foretouch {__version__}", help="print the version")
-    for name in COMMANDS:
+    for name, command in COMMANDS.loaded(tell=chosen not in COMMANDS):
         if "." in name:  # an action of a command
-            continue
-        try:
-            command: CommandEntry = COMMANDS.load(name)
-        except ForetouchError as err:  # of another package, which keeps nobody from the other commands
-            if name == chosen:
-                raise
-            if chosen not in COMMANDS:
-                print(f"foretouch: {err}", file=sys.stderr)
             continue
         of_command = parser.add_command(name, command.summary, command.example)
         if name == chosen:

@@ -112,7 +112,10 @@ class CommandParser(argparse.ArgumentParser):
         if self._choice is None:
             kind = "action" if " " in self.prog else "command"
             self._choice = self.add_subparsers(dest=kind, metavar=kind.upper(), required=kind == "action")
-        self.commands[name] = self._choice.add_parser(name, help=summary, description=f"{summary}.", example=example)
+        plain = summary.replace("%", "%%")  # argparse fills in what follows a %
+        self.commands[name] = self._choice.add_parser(
+            name, help=plain, description=f"{plain}.", example=example.replace("%", "%%")
+        )
         return self.commands[name]
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:

@@ -21,8 +21,8 @@ from typing import Any, Final
 
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.samples import ExportResult, SampleSet
-from foretouch.doors import Door, needs_extras
-from foretouch.errors import FileError
+from foretouch.doors import Door, reported
+from foretouch.errors import FileError, shown
 from foretouch.files import require_existing, system_errors
 
 
@@ -38,7 +38,7 @@ class FormatEntry:
 
     def load(self) -> ModuleType:
         """Import the module; a `MissingDependencyError` if a library that it needs is not installed."""
-        with needs_extras(self.title):
+        with reported(f"format {shown(self.title)}", str(self.module)):
             return import_module(self.module)
 
     def may_hold(self, path: Path) -> bool:
@@ -69,12 +69,12 @@ FORMATS: Final = Door(
 
 
 def _entries() -> Iterator[FormatEntry]:
-    return (FORMATS.load(name) for name in FORMATS)
+    return (entry for _, entry in FORMATS.loaded())
 
 
 def exported_formats() -> list[str]:
     """Return the names of the formats that samples can be written in."""
-    return [name for name in FORMATS if FORMATS.load(name).exported]
+    return [name for name, entry in FORMATS.loaded() if entry.exported]
 
 
 def readable_formats() -> str:

@@ -158,7 +158,7 @@ class TouchModel(Summarised):
         if self.path is None:
             raise ModelError(f"{self.name}: was not loaded from files, so it cannot be saved")
         names = [self.path.name, self.card["weights"], (self.card.get("calibration") or {}).get("weights")]
-        folder = Path(folder)
+        folder = as_path(folder)
         files = {folder / name: read_bytes(self.path.with_name(name)) for name in names if name}
         for path in files:
             if path.exists():
@@ -282,7 +282,10 @@ class TouchModel(Summarised):
         """
         grasps = Grasps.of(grasps)
         try:
-            answer = self.predictor.estimate(cloud, grasps, table)
+            if self.card.get("kind") == OWN:  # which may write into what it is given
+                answer = self.predictor.estimate(*copy.deepcopy((cloud, grasps)), table)
+            else:
+                answer = self.predictor.estimate(cloud, grasps, table)
         except ForetouchError:
             raise
         except (Exception, SystemExit) as err:

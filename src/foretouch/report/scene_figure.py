@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from foretouch.errors import ConfigError, none_of
+from foretouch.errors import ConfigError, none_of, shown
 from foretouch.files import as_path
 from foretouch.report.camera_figure import draw_scene_image, window_of
 from foretouch.report.finger_figure import FingerScale, finger_levels, title_finger
@@ -78,7 +78,7 @@ def draw_scene(
         GraspError: If the grasps are no sequence.
         FileError: If the file cannot be written.
     """
-    _check_types(scene, touch, panels)
+    _check_types(scene, touch, rest, panels)
     grasps = touch.grasps if grasps is None and touch is not None else Grasps.of([] if grasps is None else grasps)
     if len(grasps) and not 0 <= number < len(grasps):
         raise ConfigError(f"number: {number} is not one of the {len(grasps)} grasps, 0 to {len(grasps) - 1}")
@@ -120,12 +120,16 @@ def _new_page(panels: Sequence[str], scene: Scene | Object) -> tuple[Figure, dic
     return figure, parts
 
 
-def _check_types(scene: object, touch: object, panels: Sequence[str]) -> None:
-    """Refuse what is neither a scene nor an object, no predictions, or no panel; a `ConfigError`."""
+def _check_types(scene: object, touch: object, rest: object, panels: Sequence[str]) -> None:
+    """Refuse what is neither a scene nor an object, no predictions, no reading or no panel; a `ConfigError`."""
     if not isinstance(scene, Scene | Object):
         raise ConfigError(f"scene: {type(scene).__name__} is neither a Scene, such as of segment(cloud), nor an Object")
     if not isinstance(touch, Predictions | None):
         raise ConfigError(f"touch: {type(touch).__name__} is not Predictions, such as of model.predict(object, grasps)")
+    if isinstance(panels, str) or not isinstance(panels, Sequence):
+        raise ConfigError(f"panels: {shown(panels)} is not a list of {', '.join(PANELS)}")
+    if not isinstance(rest, Touch | None):
+        raise ConfigError(f"rest: {type(rest).__name__} is not a Touch, such as model.rest")
     for name in panels:
         if name not in PANELS:
             raise ConfigError(f"panels: {none_of(name, PANELS)}")

@@ -108,6 +108,8 @@ def _link_points(robot: Any, name: str, urdf: Path) -> Float64:
             mesh = trimesh.creation.cylinder(geometry.cylinder.radius, geometry.cylinder.length)
         if shape.origin is not None:
             mesh.apply_transform(shape.origin)
+        if not np.isfinite(mesh.extents).all():
+            raise FileError(urdf, "a shape has a size that is not finite", field=f"link {name}")
         if (size := float(mesh.extents.max())) > LONGEST_M:
             rule = f'a shape spans {size:.4g} m: is it in millimetres? scale="0.001 0.001 0.001" in its mesh'
             raise FileError(urdf, rule, field=f"link {name}")
