@@ -238,6 +238,7 @@ def dataset_from(samples: SampleSet | Sequence[Sample] | str | Path) -> Dataset:
         return load_dataset(samples)
     if isinstance(samples, SampleSet):
         return dataset_of(list(samples), samples.path.name, samples.sensor)
+    listed: list[Any]
     try:
         listed = list(samples)
     except TypeError:  # of one thing, also of an array without axes
