@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch benchmark touch`: a row is one command, and finished rows stay."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,15 @@ def test_a_command_adds_the_row_of_an_own_predictor_and_keeps_the_others(call, w
     assert "foretouch benchmark touch" in page
     assert "own_predictors:Constant, given as it is" in page
     assert (tmp_path / "out" / "leaderboard.png").stat().st_size > 10_000
+
+
+def test_first_touches_of_grasps_without_a_time_are_refused_before_anything_runs(call, words, tmp_path) -> None:
+    ft.write(tmp_path / "timeless", [replace(sample, stamp_ns=0) for sample in make_samples(4, 6)])
+    places = ["--data", tmp_path / "timeless", "-o", tmp_path / "none", "--workers", "1"]
+    answer = call("benchmark", "touch", "baselines=[training_mean]", "models=[]", *places)
+    answer.check_refused("splits: touches: needs the time of every grasp, and timeless holds grasps without one")
+    answer.check_refused("leave it out: 'splits=[random,time,object]'")
+    assert not (tmp_path / "none" / "results.csv").exists()
 
 
 def test_mistakes_are_one_line(call, words) -> None:

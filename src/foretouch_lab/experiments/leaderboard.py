@@ -99,6 +99,11 @@ class Leaderboard(Experiment):
 
 def _cells(settings: LeaderboardSettings, data: Dataset) -> list[Cell]:
     """Return a cell for each seed, predictor, split and fold; objects left out and first touches are of one."""
+    samples = held_out_samples(data, settings.seeds[0]).samples
+    if FIRST_TOUCHES in settings.splits and any(sample.stamp_ns <= 0 for sample in samples):
+        others = ",".join(split for split in settings.splits if split != FIRST_TOUCHES)
+        rule = f"needs the time of every grasp, and {data.name} holds grasps without one; leave it out: 'splits=[{others}]'"
+        raise ConfigError(f"splits: {FIRST_TOUCHES}: {rule}")
     parts = dict.fromkeys(predicted_once(split) for split in settings.splits)
     return [
         Cell(
