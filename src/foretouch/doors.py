@@ -77,18 +77,18 @@ class Door:
             raise ConfigError(f"{user}: {entry.value} is a {type(part).__name__} and no {self.kind.__name__}")
         return part
 
-    def loaded(self, beginning: str = "", *, tell: bool = True) -> Iterator[tuple[str, Any]]:
+    def loaded(self, beginning: str = "", *, log: bool = True) -> Iterator[tuple[str, Any]]:
         """Iterate over parts by name, without those that cannot be imported: others go on without them.
 
         Args:
             beginning: Of the names.
-            tell: Whether each of those is a line in the log.
+            log: Whether each of those is a line in the log.
         """
         for name in (one for one in self if one.startswith(beginning)):
             try:
                 yield name, self.load(name)
             except ForetouchError as err:
-                if tell:
+                if log:
                     _LOG.warning("foretouch: %s", err)
 
     def _added(self, name: str, user: str) -> EntryPoint:

@@ -75,6 +75,7 @@ def test_a_grasp_in_the_air_is_flagged() -> None:
     assert not in_the_air(hidden, TARGET.cloud.xyz).any()
 
 
+@pytest.mark.slow
 def test_a_contact_is_in_the_air_beyond_20_mm_of_all_points_and_of_the_rays_behind_them(rng) -> None:
     """By the distance from each ray, in double precision; most contacts are decided without it."""
     points = TARGET.cloud.finite.astype(np.float64)

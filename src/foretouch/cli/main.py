@@ -108,7 +108,7 @@ def command_parser(chosen: str | None) -> CommandParser:
         prog="foretouch", description="Plan two-finger grasps, and predict what tactile fingertips will read."
     )
     parser.add_argument("--version", action="version", version=f"foretouch {__version__}", help="print the version")
-    for name, command in COMMANDS.loaded(tell=chosen not in COMMANDS):
+    for name, command in COMMANDS.loaded(log=chosen not in COMMANDS):
         if "." in name:  # an action of a command
             continue
         of_command = parser.add_command(name, command.summary, command.example)

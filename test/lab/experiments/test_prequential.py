@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from experiment_samples import cell_rows, make_collection
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -55,6 +56,7 @@ def test_tares_and_temperatures_give_further_sources_and_a_missing_cell_leaves_i
     assert experiment.tabulate(settings, rows[1:]) == []
 
 
+@pytest.mark.slow
 def test_every_grasp_is_scored_once_the_gain_of_vision_is_paired_and_tables_are_made_of_the_rows(
     tmp_path: Path,
 ) -> None:

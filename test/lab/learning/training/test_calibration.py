@@ -67,6 +67,7 @@ def test_few_objects_are_cut_higher_and_intervals_of_forty_hold_nine_in_ten_valu
         assert 0.87 <= np.mean(shares) <= 0.95, modality
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", [1.0, 0.4])
 def test_after_three_touches_they_are_narrower_and_hold_as_many(kept: float) -> None:
     covered, narrowed = [], []

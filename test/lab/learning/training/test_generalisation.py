@@ -19,6 +19,7 @@ def made(rng: np.random.Generator, carries_over: float, count: int = 10) -> tupl
     return rows, (labels - labels.mean(axis=0)) / labels.std(axis=0), objects
 
 
+@pytest.mark.slow
 def test_what_generalises_has_a_gain_each_object_weighs_the_same_and_a_single_one_has_none(rng) -> None:
     """A slope that is zero exceeds its own standard error, above which there is a gain, in one of six draws."""
     found = {share: [choose_ridge(*made(rng, share), BIOTAC) for _ in range(30)] for share in (0.0, 1.0)}
