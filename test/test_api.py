@@ -281,6 +281,12 @@ def test_the_drawing_has_what_is_given(scene, tmp_path):
     assert [len(ft.draw(scene, grasps, touch, panels=one).axes) for one in (["image"], ["touch"], ["above", "side"])] == [1, 3, 2]  # fmt: skip
     with pytest.raises(ConfigError, match="panels: 'bars' is not one of image, touch, above, side"):
         ft.draw(scene, panels=["bars"])
+    for wrong, rule in (
+        ({"panels": "image"}, "panels: image is not a list"),
+        ({"rest": 3}, "rest: int is not a Touch"),
+    ):
+        with pytest.raises(ft.ForetouchError, match=rule):
+            ft.draw(scene, **wrong)
     assert len(ft.draw(scene).axes) == 1
     assert len(ft.draw(scene.objects[0], grasps).axes) == 2
     table = scene.objects[0].plane

@@ -67,5 +67,6 @@ def test_a_given_mass_flags_the_grasps_that_cannot_carry_it() -> None:
     assert ft.plan(target, config=strong).flags.tolist() == [()]
     assert heavy[0].to_dict()["flags"] == [CANNOT_CARRY]
     assert all(CANNOT_CARRY in flags for flags in ft.load_model().predict(replace(target, id="2"), heavy).flags)
+    assert ft.plan(target, mass_kg=np.float32(0.5)).score.tolist() == ft.plan(target, mass_kg=0.5).score.tolist()
     with pytest.raises(ft.ForetouchError, match="mass_kg"):
         ft.plan(target, mass_kg=-1.0)

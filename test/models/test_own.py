@@ -86,6 +86,20 @@ def test_what_is_no_model_is_refused_in_one_line(arguments, message: str) -> Non
         TouchModel(*arguments)
 
 
+def test_a_predictor_that_writes_into_its_arguments_changes_nothing_of_the_callers() -> None:
+    class Writing(Constant):
+        def estimate(self, cloud, grasps, table=None):
+            cloud.xyz[:] += 0.01
+            grasps.g1[:] += 0.01
+            return super().estimate(cloud, grasps, table)
+
+    cloud, grasps = can_with_grasps(3)
+    predictions = TouchModel(Writing(), CARD).predict(cloud, grasps)
+    assert predictions.ok.all()
+    np.testing.assert_array_equal(cloud.xyz, CAN.xyz)
+    np.testing.assert_array_equal(predictions.grasps.g1, Grasps.of(GRASPS).g1)
+
+
 def test_rows_that_are_not_finite_are_refused_and_the_others_stay() -> None:
     predictor = Bad()
     predictor.fault = "nan"

@@ -97,6 +97,13 @@ def _link_points(robot: Any, name: str, urdf: Path) -> Float64:
     link, meshes = robot.link_map[name], []
     for shape in link.collisions or link.visuals:
         geometry = shape.geometry
+        sizes = [
+            getattr(form, size, ())
+            for form in vars(geometry).values()
+            for size in ("size", "radius", "length", "scale")
+        ]
+        if not all(np.isfinite(np.asarray(size, np.float64)).all() for size in sizes if size is not None):
+            raise FileError(urdf, "a shape has a size that is not finite", field=f"link {name}")
         if geometry.mesh is not None:
             mesh = _read_mesh(_mesh_file(geometry.mesh.filename, name, urdf))
             mesh.apply_scale(1.0 if geometry.mesh.scale is None else geometry.mesh.scale)
@@ -108,8 +115,6 @@ def _link_points(robot: Any, name: str, urdf: Path) -> Float64:
             mesh = trimesh.creation.cylinder(geometry.cylinder.radius, geometry.cylinder.length)
         if shape.origin is not None:
             mesh.apply_transform(shape.origin)
-        if not np.isfinite(mesh.extents).all():
-            raise FileError(urdf, "a shape has a size that is not finite", field=f"link {name}")
         if (size := float(mesh.extents.max())) > LONGEST_M:
             rule = f'a shape spans {size:.4g} m: is it in millimetres? scale="0.001 0.001 0.001" in its mesh'
             raise FileError(urdf, rule, field=f"link {name}")

@@ -52,6 +52,16 @@ def test_links_are_where_the_joints_of_the_urdf_put_them(jaw: Path) -> None:
     assert list(urdf_surfaces(jaw, "tool", {}, ["left"])) == ["left"]
 
 
+@pytest.mark.parametrize(("size", "radius"), [("-1 nan 1", "0.01"), ("0.06 0.2 0.06", "inf")])
+def test_a_shape_without_a_finite_size_is_refused(jaw: Path, size: str, radius: str) -> None:
+    pytest.importorskip("yourdfpy", reason="needs the extra urdf")
+    jaw.write_text(
+        JAW.replace('"0.06 0.2 0.06"', f'"{size}"').replace('"0.01"/></geometry>', f'"{radius}"/></geometry>')
+    )
+    with pytest.raises(FileError, match=r"link (base|right): a shape has a size that is not finite"):
+        urdf_surfaces(jaw, "tool", {})
+
+
 def test_what_is_outside_of_turned_boxes_is_measured(rng: np.random.Generator) -> None:
     """Against boxes whose distance is known: points moved out of a face, an edge and a corner."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * [0.02, 0.04, 0.06]
