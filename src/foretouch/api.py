@@ -208,7 +208,8 @@ def evaluate(
     """Score a model and every baseline on the same held-out samples; requires `foretouch[lab]`.
 
     Args:
-        models: A model, a predictor as of `calibrate`, or the name of a recipe of `foretouch train`; or several of them by name.
+        models: A model, a predictor as of `calibrate` or its name `module:attribute`, or the name of a recipe of `foretouch train`; or
+            several of them by name.
         samples: Labelled samples, or the path of a dataset.
         splits: What is left out: `random`, `time` and `object`, as of `SampleSet.split`; and `touches`, the first three grasps on each
             object left out in order of time, each adapted to the readings of those before.

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.dataset.samples import SampleSet
-from foretouch.errors import DatasetError
+from foretouch.errors import ConfigError, DatasetError, none_of, quoted
 from foretouch.models.card import OWN
 from foretouch.models.own import find_predictor
 from foretouch.models.touch_model import TouchModel
@@ -26,7 +26,7 @@ from foretouch_lab.learning.data.dataset import dataset_from
 from foretouch_lab.learning.data.folds import SPLITS, Fold, HoldOut
 from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline
 from foretouch_lab.learning.evaluation.evaluate import MODEL, trained_on
-from foretouch_lab.learning.training.compare import Evaluation, HeldOutSamples, score_splits
+from foretouch_lab.learning.training.compare import FIRST_TOUCHES, Evaluation, HeldOutSamples, score_splits
 from foretouch_lab.learning.training.learners import Learner, make_learner
 from foretouch_lab.learning.training.own import OwnHoldOut, can_refit, plain_model
 from foretouch_lab.learning.training.run_config import RunConfig, recipe_of
@@ -43,6 +43,12 @@ def evaluate(
     baselines: Mapping[str, Baseline] = BASELINES,
 ) -> Evaluation:
     """Score models and baselines on the same held-out samples; see `foretouch.evaluate`."""
+    known = (*SPLITS, FIRST_TOUCHES)
+    if isinstance(splits, str) or not isinstance(splits, Sequence) or not splits:
+        raise ConfigError(f"splits: {quoted(splits)} is not a list of {', '.join(known)}")
+    for split in splits:
+        if split not in known:
+            raise ConfigError(f"splits: {none_of(split, known)}")
     named = models if isinstance(models, Mapping) else {MODEL: models}
     options: dict[str, Any] = {"refit": refit, "seed": seed, "workers": workers, "baselines": baselines}
     return score_models(dataset_from(samples), named, splits, **options)
@@ -111,7 +117,8 @@ def hold_out(model: Any, data: Dataset, refit: bool | None = None) -> HeldOut:
     """Return how a recipe, a model or a predictor is held out of the labelled samples of a dataset.
 
     Args:
-        model: The settings of a recipe or its words (`recipe_of`), a touch model, or a predictor as of `find_predictor`.
+        model: The settings of a recipe or its words (`recipe_of`), a touch model, or a predictor as of `find_predictor`, whose name is
+            `module:attribute`.
         data: The dataset.
         refit: Whether a model or predictor is fitted again in each fold; by default a predictor that can be.
 
@@ -119,7 +126,7 @@ def hold_out(model: Any, data: Dataset, refit: bool | None = None) -> HeldOut:
         ConfigError: If there is no such recipe.
         ModelError: If the predictor cannot be made, or cannot be fitted again.
     """
-    if isinstance(model, str):
+    if isinstance(model, str) and ":" not in model:
         return HeldOut(_learner(recipe_of(model), data).predict_fold, f"recipe {model}, {_REFITTED}")
     if isinstance(model, RunConfig):
         return HeldOut(_learner(model, data).predict_fold, f"recipe, {_REFITTED}")

@@ -104,6 +104,25 @@ def test_what_cannot_be_calibrated_is_refused_in_one_line() -> None:
         ft.calibrate(Constant, SAMPLES[:5])
 
 
+@pytest.mark.parametrize(
+    ("splits", "message"),
+    [
+        (3, "splits: 3 is not a list of random, time, object, touches"),
+        ("object", "splits: 'object' is not a list of random, time, object, touches"),
+        ([], r"splits: \[\] is not a list of random"),
+        (["objects"], "splits: 'objects' is not one of random, time, object, touches; did you mean object"),
+    ],
+)
+def test_splits_that_do_not_exist_are_refused_in_one_line(splits, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        ft.evaluate(Constant, SAMPLES, splits=splits)
+
+
+def test_a_predictor_is_scored_by_its_name() -> None:
+    scored = evaluate("own_predictors:Constant", SAMPLES, splits=("random",), baselines=FEW)
+    assert "own_predictors:Constant" in scored.notes[0]
+
+
 def test_a_given_model_is_not_scored_on_what_it_was_trained_on_and_a_recipe_is_fitted_in_each_fold() -> None:
     settings = {"calibrate": False, "contact": {"trees": 2, "thinned": 1.0}}
     model = ft.fit(SAMPLES[:30], **settings)
