@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
-from foretouch.doors import FUNCTIONS, needs_extras
+from foretouch.doors import FUNCTIONS
 from foretouch.errors import TactileError
 from foretouch.files import as_path
 from foretouch.grasp.messages import decode_predictions
@@ -155,7 +155,7 @@ def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "conta
         DatasetError: If there are too few samples, or one cannot be used.
         MissingDependencyError: If the laboratory is not installed.
     """
-    model: TouchModel = _trained("fit", samples, recipe, settings)
+    model: TouchModel = FUNCTIONS.call("fit", "foretouch.fit", samples, recipe, settings)
     return model
 
 
@@ -192,7 +192,7 @@ def calibrate(
         MissingDependencyError: If the laboratory is not installed.
     """
     options = {"name": name, "refit": refit, "seed": seed, "workers": workers}
-    model: TouchModel = _trained("calibrate", predictor, samples, split, **options)
+    model: TouchModel = FUNCTIONS.call("calibrate", "foretouch.calibrate", predictor, samples, split, **options)
     return model
 
 
@@ -226,15 +226,9 @@ def evaluate(
         ModelError: If a predictor fails, or returns what cannot be used.
         MissingDependencyError: If the laboratory is not installed.
     """
-    scores: Scores = _trained("evaluate", models, samples, splits, refit=refit, seed=seed, workers=workers)
+    options = {"refit": refit, "seed": seed, "workers": workers}
+    scores: Scores = FUNCTIONS.call("evaluate", "foretouch.evaluate", models, samples, splits, **options)
     return scores
-
-
-def _trained(name: str, /, *args: Any, **options: Any) -> Any:
-    """Call a function of training, which a robot need not have."""
-    user = f"foretouch.{name}"
-    with needs_extras(user):
-        return FUNCTIONS.load(name, user)(*args, **options)
 
 
 def draw(

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from foretouch.cli.commands import COMMANDS, CommandEntry
@@ -86,12 +87,22 @@ def add_arguments(parser: CommandParser) -> None:
     count = "number of samples, evenly spaced over the dataset"
     show.add_argument("-n", "--count", type=positive_number, default=_SHEET_SAMPLES, help=count)
 
-    for name, command in COMMANDS.loaded("dataset."):
-        words = name.replace(".", " ")
-        if words.partition(" ")[2] in {"", *parser.commands}:
-            continue
-        added = _action(parser, words.split()[1], partial(_added, command, words), command.summary, command.example)
-        command.load(words).add_arguments(added)
+    for name in COMMANDS:
+        of, _, action = name.partition(".")
+        if of == "dataset" and action not in {"", *parser.commands}:
+            _add_action(parser, name, action)
+
+
+def _add_action(parser: CommandParser, name: str, action: str) -> None:
+    """Add an action of another package; why it cannot be used is the answer to who asks for it."""
+    words = f"dataset {action}"
+    try:
+        command: CommandEntry = COMMANDS.load(name)
+        module = command.load(words)
+    except ForetouchError as err:
+        parser.faults[action] = err
+        return
+    module.add_arguments(_action(parser, action, partial(_added, module, words), command.summary, command.example))
 
 
 def _action(
@@ -139,10 +150,10 @@ def run(arguments: argparse.Namespace) -> int:
     return int(arguments.act(arguments))
 
 
-def _added(command: CommandEntry, words: str, arguments: argparse.Namespace) -> int:
+def _added(module: ModuleType, words: str, arguments: argparse.Namespace) -> int:
     """Run an action of another package."""
     with needs_extras(words):
-        return int(command.load(words).run(arguments))
+        return int(module.run(arguments))
 
 
 def _info(arguments: argparse.Namespace) -> int:

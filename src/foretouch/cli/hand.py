@@ -10,7 +10,7 @@ from typing import Any
 from foretouch.cli.descriptions import Descriptions
 from foretouch.cli.inputs import positive_value
 from foretouch.cli.parser import CommandParser
-from foretouch.doors import FUNCTIONS, needs_extras
+from foretouch.doors import FUNCTIONS
 from foretouch.errors import ConfigError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.grasp.hand import hand_files, load_hand
@@ -42,9 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
         return _HANDS.run(arguments)
     if arguments.out is not None:
         require_writable(arguments.out, *PICTURE_SUFFIXES)
-    user = f"hand check --{'mesh' if arguments.urdf is None else 'urdf'}"
-    with needs_extras(user):
-        return int(FUNCTIONS.load("compare_hand", user)(arguments))
+    option = "mesh" if arguments.urdf is None else "urdf"
+    return int(FUNCTIONS.call("compare_hand", f"hand check --{option}", arguments))
 
 
 def _compares(arguments: argparse.Namespace) -> bool:

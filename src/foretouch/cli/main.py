@@ -73,10 +73,6 @@ def _prepare_streams() -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    words = [word for word in arguments if not word.startswith("-")]
-    for name in (".".join(words[:count]) for count in (1, 2)):  # a command, or an action of one
-        if name in COMMANDS:
-            COMMANDS.load(name)
     parser = command_parser(arguments[0] if arguments else None)
     parsed = _parse(parser, arguments)
     if parsed.command is None:
@@ -108,7 +104,10 @@ def command_parser(chosen: str | None) -> CommandParser:
         prog="foretouch", description="Plan two-finger grasps, and predict what tactile fingertips will read."
     )
     parser.add_argument("--version", action="version", version=f"foretouch {__version__}", help="print the version")
-    for name, command in COMMANDS.loaded(log=chosen not in COMMANDS):
+    # Of a command that exists, neither its errors nor its help list the others, which need not be looked for.
+    one = chosen is not None and "." not in chosen and chosen in COMMANDS
+    commands = [(chosen, COMMANDS.load(chosen))] if one else COMMANDS.loaded()
+    for name, command in commands:
         if "." in name:  # an action of a command
             continue
         of_command = parser.add_command(name, command.summary, command.example)

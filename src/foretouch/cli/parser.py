@@ -7,7 +7,7 @@ import shutil
 import textwrap
 from typing import Any, Final
 
-from foretouch.errors import nearest, none_of
+from foretouch.errors import ForetouchError, nearest, none_of
 
 _GROUPS: Final = {
     "what is read": "topic intrinsics camera_info info_topic rectified depth_scale color mask target pixel point plane scene hand grasp data source dwell rate loop restamp resume "
@@ -55,6 +55,7 @@ class CommandParser(argparse.ArgumentParser):
 
     Attributes:
         commands: Parsers of its commands, or of the actions of a command, by name.
+        faults: Why an action that was asked for cannot be used, by name.
         declared: Its arguments and options, without `--help`.
         headings: Groups of options in its help, by title.
     """
@@ -63,6 +64,7 @@ class CommandParser(argparse.ArgumentParser):
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, add_help=False, **options)
         super().add_argument("-h", "--help", action="help", help="print this help and end")
         self.commands: dict[str, CommandParser] = {}
+        self.faults: dict[str, ForetouchError] = {}
         self.declared: list[argparse.Action] = []
         self._choice: Any = None
         self.headings = {title: self.add_argument_group(title) for title in _GROUPS}
@@ -131,6 +133,8 @@ class CommandParser(argparse.ArgumentParser):
                 words.append(word)
         if self.commands:
             chosen = next((word for word in words if not word.startswith("-")), None)
+            if chosen in self.faults:
+                raise self.faults[chosen]
             if chosen is not None and chosen not in self.commands:
                 self.error(f"{none_of(chosen, self.commands)}")
         else:

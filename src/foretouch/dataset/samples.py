@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple, overload
 import numpy as np
 
 from foretouch.dataset.identity import Identity
-from foretouch.doors import FUNCTIONS, needs_extras
+from foretouch.doors import FUNCTIONS
 from foretouch.errors import DatasetError, shown
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
@@ -158,8 +158,7 @@ class SampleSet(Summarised, Tabular):
             DatasetError: If there is no such split, or there are too few samples for it.
         """
         labelled = self.filter(_is_labelled)
-        with needs_extras("split"):
-            folds = FUNCTIONS.load("folds", "split")([*labelled], kind, seed)
+        folds = FUNCTIONS.call("folds", "split", [*labelled], kind, seed)
         return [(labelled.subset(fold.train), labelled.subset(fold.test)) for fold in folds]
 
     def subset(self, numbers: Sequence[int] | Index | Bool) -> "SampleSet":

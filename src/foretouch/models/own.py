@@ -12,13 +12,12 @@ import inspect
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, cast
 
 import numpy as np
 
-from foretouch.doors import Door
+from foretouch.doors import Door, import_place
 from foretouch.errors import ConfigError, ForetouchError, ModelError, described, shown
 from foretouch.grasp import hand_rotation
 from foretouch.models.card import OWN, CardCalibration, card_sensor, load_calibration, save_model
@@ -71,15 +70,11 @@ def find_predictor(predictor: Any, learned: Mapping[str, AnyArray] | None = None
 
 def _named(name: str) -> Any:
     """Import what `module:attribute` or an entry point names."""
-    module, colon, attribute = name.partition(":")
-    if not colon:
+    if ":" not in name:
         return PREDICTORS.load(name, f"predictor: {shown(name)} (which is no module:attribute)")
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)  # last, so that no file of this folder hides another module
-    found = import_module(module)
-    for part in attribute.split("."):
-        found = getattr(found, part)
-    return found
+    return import_place(name)
 
 
 def require_predictor(predictor: Any) -> Predictor:
