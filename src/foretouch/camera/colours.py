@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.camera.config import RealSenseConfig
-from foretouch.camera.device import realsense
+from foretouch.camera.device import realsense, video_profiles
 from foretouch.errors import CameraError
 from foretouch.types import UInt8
 
@@ -82,18 +82,14 @@ def colour_profile(device: Any, config: RealSenseConfig | None) -> tuple[int, An
         Number of the sensor, the sensor, and the profile.
 
     Raises:
-        CameraError: If there is none of 8-bit red, green and blue.
+        CameraError: If the device has no colour stream of the format rgb8, or none of the rate.
     """
     rs, found = realsense(), []
-    for number, sensor in enumerate(device.query_sensors()):
-        for profile in sensor.get_stream_profiles():
-            if profile.stream_type() != rs.stream.color or profile.format() != rs.format.rgb8:
-                continue
-            video = profile.as_video_stream_profile()
-            if config is None or video.fps() == config.fps:
-                covers = config is None or (video.width() >= config.width and video.height() >= config.height)
-                pixels = video.width() * video.height()
-                found.append(((not covers, pixels if covers else -pixels), number, sensor, profile))
+    for number, sensor, video in video_profiles(device, rs.stream.color, rs.format.rgb8):
+        if config is None or video.fps() == config.fps:
+            covers = config is None or (video.width() >= config.width and video.height() >= config.height)
+            pixels = video.width() * video.height()
+            found.append(((not covers, pixels if covers else -pixels), number, sensor, video))
     if not found:
         rate = "" if config is None else f" at {config.fps} Hz"
         raise CameraError(f"color stream: the device has none of format rgb8{rate}: set camera.color to false")

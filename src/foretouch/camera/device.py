@@ -4,6 +4,7 @@
 import contextlib
 import functools
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +107,20 @@ class DeviceSource:
             raise FileError(self._path, f"not a RealSense recording: {err}") from err
         playback.set_real_time(self._config.real_time)
         return playback
+
+
+def video_profiles(device: Any, stream: Any, form: Any) -> Iterator[tuple[int, Any, Any]]:
+    """Iterate over the video profiles of a device: number of the sensor, the sensor, and the profile.
+
+    Args:
+        device: Of the library.
+        stream: Kind of the stream, such as `realsense().stream.depth`.
+        form: Format of its pixels, such as `realsense().format.z16`.
+    """
+    for number, sensor in enumerate(device.query_sensors()):
+        for profile in sensor.get_stream_profiles():
+            if profile.stream_type() == stream and profile.format() == form:
+                yield number, sensor, profile.as_video_stream_profile()
 
 
 def list_devices() -> list[str]:

@@ -16,7 +16,7 @@ import numpy as np
 from foretouch.bounded_queue import BoundedQueue
 from foretouch.camera.colours import ColourAligner, colour_profile
 from foretouch.camera.config import RealSenseConfig
-from foretouch.camera.device import realsense
+from foretouch.camera.device import realsense, video_profiles
 from foretouch.errors import CameraError
 from foretouch.types import AnyArray, Cloud, UInt8
 from foretouch.types.camera import CameraModel
@@ -61,7 +61,7 @@ class FrameStream:
         queue = self._queue = BoundedQueue[Any](None, when_full="wait" if waits else "drop_oldest")
         wanted = None if device.is_playback() else config
         number, sensor, profile = _find_profile(device, wanted)
-        self._camera = library_camera(profile.as_video_stream_profile().get_intrinsics())
+        self._camera = library_camera(profile.get_intrinsics())
         self._device = device  # or the library would end a recording
         colours = self._colours = ColourAligner() if config.color else None
 
@@ -136,15 +136,11 @@ def library_camera(intrinsics: Any) -> CameraModel:
 def _find_profile(device: Any, config: RealSenseConfig | None) -> tuple[int, Any, Any]:
     """Find the number, sensor and profile of the depth stream; of the size and rate of `config`, unless it is None."""
     rs, sizes = realsense(), []
-    for number, sensor in enumerate(device.query_sensors()):
-        for profile in sensor.get_stream_profiles():
-            if profile.stream_type() != rs.stream.depth or profile.format() != rs.format.z16:
-                continue
-            video = profile.as_video_stream_profile()
-            size = (video.width(), video.height(), video.fps())
-            if config is None or size == (config.width, config.height, config.fps):
-                return number, sensor, profile
-            sizes.append("{}x{}@{}".format(*size))
+    for number, sensor, video in video_profiles(device, rs.stream.depth, rs.format.z16):
+        size = (video.width(), video.height(), video.fps())
+        if config is None or size == (config.width, config.height, config.fps):
+            return number, sensor, video
+        sizes.append("{}x{}@{}".format(*size))
     if config is None or not sizes:
         raise CameraError("depth stream: the device has none of format z16")
     raise CameraError(
