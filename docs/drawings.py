@@ -258,7 +258,7 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 def touched_figure(touches: Sequence[int]) -> tuple[list[Prediction], Sample]:
-    """Return the predictions of a grasp of the demo's figure after so many touches each, and the grasp with its reading."""
+    """Predict one grasp of the demo's figure after each of these numbers of touches; return the predictions, and the grasp with its reading."""
     model = load_model("simulated")
     scene = load_scene(FOLDER.parent / "config" / "scenes" / "demo.yaml")
     visits = [list(visit) for _, visit in groupby(Simulation(scene).samples(10), key=lambda sample: sample.object)]

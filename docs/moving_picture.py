@@ -2,7 +2,7 @@
 """Render the moving picture of README, and the last image of it: python docs/moving_picture.py.
 
 The can of `config/scenes/demo.yaml` lies among three other objects, once with each of twenty seeds, and is grasped once. The grasp is
-shown whose mean electrode error is the median (of two, the lower). Readings are those of the simulated hand, whose contact is solved
+shown whose mean electrode error is the median, or the lower of the two in the middle. The simulated hand gives the readings; its contact is solved
 by `foretouch_lab.simulation`; MuJoCo renders the same objects at the same places.
 """
 
@@ -79,7 +79,7 @@ def demo_run(seed: int) -> Run:
 
 
 def median_run() -> Run:
-    """Return the run whose error is the median of all; of two, the lower."""
+    """Return the run with the median error, or the lower of the two in the middle."""
     runs = sorted(map(demo_run, range(RUNS)), key=lambda run: run.error)
     errors = [round(run.error, 1) for run in runs]
     print(f"mean errors of the electrodes: {errors} counts")  # noqa: T201

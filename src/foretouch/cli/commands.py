@@ -112,4 +112,4 @@ COMMANDS: Final = Door(
     },
     CommandEntry,
 )
-"""Commands by name. The first that are listed are those of foretouch."""
+"""All commands by name: the commands of foretouch, then those that other packages add."""

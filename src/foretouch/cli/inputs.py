@@ -330,7 +330,7 @@ def holds_one_object(cloud: Cloud, arguments: argparse.Namespace) -> bool:
 
 
 def draw_result(arguments: argparse.Namespace, scene: Scene | Object, *drawn: Any, **options: Any) -> None:
-    """Write --picture with the panels of --panels, if it is asked for; the other arguments are those of `draw_scene`."""
+    """Draw the picture of --picture, if the user asks for one, with the panels of --panels. Further arguments go to `draw_scene`."""
     if arguments.picture:
         from foretouch.report.scene_figure import PANELS, draw_scene
 

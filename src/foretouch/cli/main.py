@@ -9,7 +9,7 @@ import io
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 
 from foretouch import __version__
@@ -105,8 +105,11 @@ def command_parser(chosen: str | None) -> CommandParser:
     )
     parser.add_argument("--version", action="version", version=f"foretouch {__version__}", help="print the version")
     # Of a command that exists, neither its errors nor its help list the others, which need not be looked for.
-    one = chosen is not None and "." not in chosen and chosen in COMMANDS
-    commands = [(chosen, COMMANDS.load(chosen))] if one else COMMANDS.loaded()
+    commands: Iterable[tuple[str, CommandEntry]]
+    if chosen is not None and "." not in chosen and chosen in COMMANDS:
+        commands = [(chosen, COMMANDS.load(chosen))]
+    else:
+        commands = COMMANDS.loaded()
     for name, command in commands:
         if "." in name:  # an action of a command
             continue

@@ -47,7 +47,7 @@ EXAMPLES: Final = {
     "hand check": "foretouch hand check my_gripper.yaml --urdf my_gripper.urdf -o over.png",
     "hand show": "foretouch hand show franka_hand -o hand.png",
 }
-"""A command line for the help of each action of a command, and of foretouch itself; those of commands stand with them."""
+"""Example command lines for the help of foretouch itself and of actions. `foretouch.cli.commands` holds the examples of commands."""
 
 
 class CommandParser(argparse.ArgumentParser):

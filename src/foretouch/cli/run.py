@@ -167,9 +167,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
-    scene = None if _is_topic(arguments.source) else find_source(arguments.source)
-    live = scene is not None or arguments.source == "camera" or _is_topic(arguments.source)
-    _require_used(arguments, scene=scene is not None, files=not live)
+    shown = None if _is_topic(arguments.source) else find_source(arguments.source)
+    live = shown is not None or arguments.source == "camera" or _is_topic(arguments.source)
+    _require_used(arguments, scene=shown is not None, files=not live)
     if not live:
         source = open_source(arguments.source, arguments.topic, camera=depth_camera(arguments))
         if not any("late_after_s" in parameters for parameters in given):
@@ -189,9 +189,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         return nodes
     perception["input"] = "depth"
     arguments.remapped = _remapped("depth/image", DEPTH_TOPIC)
-    for name, parameters in ({"camera": {}} if scene is None else _shown_nodes(arguments, scene)).items():
+    for name, parameters in ({"camera": {}} if shown is None else _shown_nodes(arguments, shown)).items():
         nodes[name] = parameters | nodes.get(name, {})
-    for parameter in ("hand.name", "model"):
+    for parameter in ("hand.name", "model"):  # what a file states goes before what the source asks for
         if any(parameter in parameters for parameters in given) and not (parameter == "model" and arguments.model):
             nodes["perception"].pop(parameter, None)
     return nodes

@@ -116,7 +116,7 @@ class ReplayConfig(NodeConfig):
     )
     color: str = setting(
         "",
-        "Colours of depth images: the file of a single one, or a topic of a recording; empty: their own, those that fit",
+        "Colours of depth images: the file of a single image, or a topic of a recording. If it is empty, they are those in the file or folder, or the topic that fits",
         read_only=True,
     )
     table: tuple[float, ...] = setting(
