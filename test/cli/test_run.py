@@ -81,7 +81,9 @@ def started(environment: dict[str, str], *words: object, command: str = "run") -
 
 def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path, environment) -> None:
     picture = tmp_path / "touch.png"
-    status, lines, err = run(environment, "--source", write_scenes(tmp_path / "bag", 5), "--picture", picture)
+    status, lines, err = run(
+        environment, "--source", write_scenes(tmp_path / "bag", 5), "--picture", picture, "--rate", 2
+    )
     assert status == 0, err
     *answers, last = lines
     assert (last["played"], last["answered"], len(answers)) == (5, 5, 5)

@@ -3,6 +3,7 @@
 
 import sys
 import time
+from types import SimpleNamespace
 
 import depth_builders
 import numpy as np
@@ -92,6 +93,24 @@ def test_every_cloud_is_played_once_in_order_and_in_time_as_recorded_and_the_end
     assert (summary.received, summary.used, summary.waiting) == (11, 11, 0)
     values = node.reported().values
     assert (values["replay"], values["clouds"], values["played./foretouch/points"]) == ("finished", "11", "11")
+
+
+def test_a_recording_that_opens_slowly_keeps_its_pauses(graph, bag, monkeypatch):
+    path, _ = bag(3)
+    now_s = 0.0
+
+    def opened_slowly(*arguments):
+        nonlocal now_s
+        now_s += 5.0
+        yield from entries(*arguments)
+
+    monkeypatch.setattr("foretouch.ros.nodes.replay.entries", opened_slowly)
+    monkeypatch.setattr("foretouch.ros.nodes.replay.time", SimpleNamespace(monotonic=lambda: now_s))
+    node, _ = play(graph, path)
+    median_ms, _ = node.statistics.summary().input_age_ms
+    assert median_ms == pytest.approx(
+        -STEP_NS * 1e-6
+    )  # the clock stands: each cloud was to wait for its time after the first
 
 
 @pytest.mark.parametrize("form", ["", "/compressedDepth"])

@@ -312,6 +312,8 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         while True:
             pace, empty = Pace(self.config.rate_hz, self.config.longest_pause_s), True
             for entry in entries(self._source, self._topic_publishers.keys() - {CLOUDS}):
+                if empty:  # opening the source takes longer than reading the next entry
+                    began = max(began, time.monotonic())
                 due, empty = began + pace.due_s(entry), False
                 if pace.cut_s:
                     self.get_logger().warning(f"{entry.name}: {pace.cut_s:.0f} s of the pause before it are left out")
