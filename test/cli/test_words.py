@@ -65,6 +65,9 @@ def test_words_and_numbers_of_no_use_are_usage_errors_with_the_nearest_word(caps
     cases = (
         ("evalute default store", "'evalute' is not one of segment, ", "did you mean evaluate?"),
         ("dataset infoo store", "'infoo' is not one of info, ", "did you mean info?"),
+        ("run --source x --color ''", "--color: is empty; give a value, or leave it out"),
+        ("predict x --color=", "--color: is empty; give a value, or leave it out"),
+        ("predict ''", "an argument: is empty; give a value, or leave it out"),
         ("run --source x --pictrue y.png", "--pictrue: there is no such option; did you mean --picture?"),
         ("dataset import x --map y", "--map: there is no such option\n"),
         ("grasp x.pcd --target nearst", "'nearst' is not one of nearest, ", "did you mean nearest?"),
@@ -80,7 +83,7 @@ def test_words_and_numbers_of_no_use_are_usage_errors_with_the_nearest_word(caps
 
     def check(line: str, *texts: str) -> None:
         with pytest.raises(SystemExit, match="2"):
-            main(line.split())
+            main(shlex.split(line))
         err = capsys.readouterr().err
         assert all(text in err for text in texts), err
 

@@ -5,6 +5,7 @@ import argparse
 import re
 import shutil
 import textwrap
+from itertools import pairwise
 from typing import Any, Final
 
 from foretouch.errors import ForetouchError, nearest, none_of
@@ -143,6 +144,10 @@ class CommandParser(argparse.ArgumentParser):
 
     def _check_options(self, words: list[str]) -> None:
         known = [name for action in self.declared for name in action.option_strings]
+        for before, word in pairwise(["", *words]):
+            if not word or re.fullmatch(r"--\w[\w-]*=", word):
+                name = next((text for text in (word.rstrip("="), before) if text.startswith("-")), "an argument")
+                self.error(f"{name}: is empty; give a value, or leave it out")
         for word in words[: words.index("--")] if "--" in words else words:
             option = word.partition("=")[0]
             if re.match(r"--\w", word) and not any(name.startswith(option) for name in ("--help", *known)):

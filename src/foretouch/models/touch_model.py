@@ -47,7 +47,7 @@ from foretouch.tactile import Ranges, touch_faults, usual_ranges
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import require_same
 from foretouch.types import AnyArray, Cloud, Evidence, Float64, Grasp, Grasps, Plane, Predictions, Reference, Touch
-from foretouch.types.arrays import numbers, objects
+from foretouch.types.arrays import numbers, objects, scalar
 from foretouch.types.grasps import contact_faults
 from foretouch.types.rotations import are_absent, fault_texts, require_none
 from foretouch.types.scene import Object
@@ -462,6 +462,7 @@ class Readings:
 
     def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
         """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
+        require_type(estimate, Estimate, "estimate", "not an Estimate of this model", ModelError)
         counts, half = np.empty((2, *estimate.counts.shape))
         for known in (False, True):
             rows = estimate.known == known
@@ -595,7 +596,7 @@ class History(Summarised):
         cloud, table = _cloud_and_table(target)
         require_type(same_object, bool | np.bool_ | None, "same_object", _NO_CHOICE, ModelError)
         require_type(estimate, Estimate | None, "estimate", "not an Estimate of this model", ModelError)
-        same = self.is_current(cloud, _SAME_OBJECT_M) if same_object is None else same_object
+        same = self.is_current(target, _SAME_OBJECT_M) if same_object is None else same_object
         values = self.model.usable_values(reading, "touched")
         tdc = _checked_tdc(tdc, self.model)
         if estimate is None:
@@ -656,7 +657,7 @@ class History(Summarised):
         """
         require_type(same_object, bool | np.bool_ | None, "same_object", _NO_CHOICE, ModelError)
         if same_object is None:
-            same_object = target is None or self.is_current(_cloud_and_table(target)[0], _SAME_OBJECT_M)
+            same_object = target is None or self.is_current(target, _SAME_OBJECT_M)
         return Readings(
             self.model,
             self.tracker.copy(),
@@ -709,13 +710,18 @@ class History(Summarised):
         """Count readings from the future of a clock [ns] as taken now (see `SensorTracker.keep_to_clock`)."""
         return self.tracker.keep_to_clock(now_ns)
 
-    def is_current(self, cloud: Cloud, same_object_m: float) -> bool:
-        """Say whether the object of a cloud is the one that was touched last, by its place and size.
+    def is_current(self, target: Cloud | Object, same_object_m: float) -> bool:
+        """Say whether an object is the one that was touched last, by its place and size.
 
         Args:
-            cloud: The object's points [m].
+            target: The object, or its cloud [m].
             same_object_m: Largest difference of the mean and of the deviation of its points [m].
+
+        Raises:
+            CloudError: If the target is neither an object nor a cloud.
         """
+        cloud, _ = _cloud_and_table(target)
+        same_object_m = scalar(same_object_m, "same_object_m", ModelError)
         if self.signature is None or self.signature[0] != cloud.frame_id:
             return False
         with np.errstate(invalid="ignore"):  # of a cloud without points, which is equal to no other object

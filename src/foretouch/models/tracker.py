@@ -36,7 +36,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from foretouch.errors import ModelError, TactileError
+from foretouch.errors import ModelError, TactileError, require_type
 from foretouch.models.files import packed
 from foretouch.models.similar_touches import MOST, SimilarTouches
 from foretouch.models.state_space import KNOWN, NEW, StateFilter, TrackerParameters
@@ -58,6 +58,7 @@ _TDC_JUMP: Final = (150.0, 2.0, 800.0)  # at once, in each second, and at most; 
 _MOST_MEAN: Final = 4.0  # times the largest level
 _ROUNDING: Final = 1e-15  # of a covariance, relative to the largest one before
 _MOST_SLOPE: Final = 1e4  # in the coordinates of the basis
+_NO_STAMP: Final = "not nanoseconds from 0"
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +127,7 @@ class SensorTracker:
 
         Returns whether there are any. 0 stands for a clock that was not read yet.
         """
+        require_type(now_ns, int | np.integer, "clock", _NO_STAMP, TactileError)
         if now_ns <= 0 or self._newest_ns - now_ns <= _AHEAD_NS:
             return False
         self._newest_ns, self._object_ns, self._tdc_ns = (
@@ -387,7 +389,7 @@ class SensorTracker:
     def _checked_stamp(self, stamp_ns: int) -> int:
         """Return the stamp, not before the newest one; a `TactileError` if it is not a valid stamp, or too late."""
         if isinstance(stamp_ns, bool) or not isinstance(stamp_ns, int | np.integer) or not 0 <= stamp_ns < 2**63:
-            raise TactileError(f"stamp: {stamp_ns!r} is not nanoseconds from 0")
+            raise TactileError(f"stamp: {stamp_ns!r} is {_NO_STAMP}")
         stamp = int(stamp_ns)
         if self._newest_ns >= 0 and self._newest_ns - stamp > _LATE_NS:
             late = (self._newest_ns - stamp) / 1e9
