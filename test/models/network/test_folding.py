@@ -7,7 +7,6 @@ import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.folding import BLOCK
 
 
 def drawn(*shape: int) -> np.ndarray:
@@ -38,12 +37,14 @@ def test_the_copy_uses_running_statistics_even_in_training_mode_and_does_not_fol
 
 
 @pytest.mark.parametrize("widths", [(16, 8), (1024, 512, 256)], ids=str)
-def test_a_prediction_is_bit_equal_whatever_its_mates(small: ModelConfig, make_net, widths) -> None:
+def test_a_prediction_does_not_depend_on_its_mates_but_for_rounding(small: ModelConfig, make_net, widths) -> None:
     config = small.replace(head_widths=widths)
     folded = make_net(config).folded()
     features = folded.features(drawn(config.n_points, 3))
-    grasps = drawn(3 * BLOCK + 5, config.grasp_size)
+    grasps = drawn(53, config.grasp_size)
     assert folded.regress(features, grasps[:0]).shape == (0, 50)
     together = folded.regress(features, grasps)
-    assert_array_equal(together, np.concatenate([folded.regress(features, grasp[None]) for grasp in grasps]))
-    assert_array_equal(folded.regress(features, grasps[::-1])[::-1], together)
+    alone = np.concatenate([folded.regress(features, grasp[None]) for grasp in grasps])
+    assert_allclose(together, alone, rtol=1e-5)
+    assert_allclose(folded.regress(features, grasps[::-1])[::-1], together, rtol=1e-5)
+    assert_array_equal(folded.regress(features, grasps), together)

@@ -9,8 +9,8 @@ Three rewrites, none of which changes the function:
 - The first layer of the head splits into the columns for the features, applied once for each cloud, and
   those for the grasp, applied once for each grasp.
 
-The head runs in blocks of `BLOCK` rows, the last one padded: all matrix products have the same size, so a
-prediction is equal to the last bit however many grasps are predicted in the same call.
+The head takes all grasps of a call at once. Their number may change the last bits of a prediction, by the order in which
+BLAS adds; equal calls give equal bits.
 
 It is NumPy alone. The network as torch's modules, which a robot does not need, is `foretouch_lab.learning.network`.
 
@@ -25,9 +25,6 @@ import numpy as np
 
 from foretouch.models.network.config import ModelConfig
 from foretouch.types import AnyArray, Float32
-
-BLOCK = 16
-"""Rows of one pass through the head."""
 
 _NORM = ("weight", "bias", "running_mean", "running_var")
 _EPSILON = 1e-5  # that torch's batch norm adds to the variance
@@ -98,14 +95,8 @@ class FoldedNetwork:
 
     def regress(self, features: Float32, grasps: Float32) -> Float32:
         """Map (F,) features and (K, G) grasps to (K, M) predictions [counts]; K may be 0."""
-        count = len(grasps)
-        padded = np.zeros((-(-count // BLOCK) * BLOCK, grasps.shape[1]), np.float32)
-        padded[:count] = grasps
-        shared, result = self.first(features), np.empty((len(padded), self.output_size), np.float32)
-        for start in range(0, len(padded), BLOCK):
-            x = padded[start : start + BLOCK] @ self.first_grasp.T + shared
-            result[start : start + BLOCK] = _chain(self.head, _relu(x)) if self.head else x
-        return result[:count]
+        x = grasps @ self.first_grasp.T + self.first(features)
+        return _chain(self.head, _relu(x)) if self.head else x
 
     @property
     def output_size(self) -> int:
