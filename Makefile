@@ -8,8 +8,8 @@ CONSTRAINTS := -c constraints.txt -c constraints-$(ROS).txt
 BIN := $(VENV)/bin
 CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/foretouch
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
-# Says what it downloads and installs: a loaded machine or a slow network takes many minutes.
-SHOWN_PIP := $(BIN)/pip --disable-pip-version-check
+# Says what it downloads and installs: a loaded machine or a slow network takes many minutes. Most modules are never imported, so none is compiled.
+INSTALL := $(BIN)/pip --disable-pip-version-check install --no-compile
 
 # The messages take a compiler and most of a minute: their wheel is built once for each content and Python, and kept.
 MESSAGE_FILES := $(sort $(shell find foretouch_msgs -type f -not -name '*.pyc'))
@@ -33,16 +33,16 @@ $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pypr
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "foretouch needs Python 3.11 or newer: make setup PYTHON=python3.11")'
 	@test ! -e $@ || test "$$(cat $@)" = $(ROS) || { echo "setup: $(VENV) holds another ROS 2: it is made anew"; rm -rf $(VENV); }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "setup: installing what setup.cfg requires, in the versions of constraints.txt (a minute or two; on a loaded machine more)"
-	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera,sim]'
-	@test -d $(MESSAGE_WHEEL) || { echo "setup: building the ROS messages (once)"; mkdir -p $(CACHE) \
-	  && FORETOUCH_ROS=$(ROS) $(PIP) wheel --no-deps -w $(MESSAGE_WHEEL).part ./foretouch_msgs && mv $(MESSAGE_WHEEL).part $(MESSAGE_WHEEL); }
+	@echo "setup: installing what setup.cfg requires, in the versions of constraints.txt (some minutes), and building the ROS messages meanwhile (once)"
+	@{ test -d $(MESSAGE_WHEEL) || { mkdir -p $(CACHE) && FORETOUCH_ROS=$(ROS) $(PIP) wheel --no-deps -w $(MESSAGE_WHEEL).part ./foretouch_msgs \
+	    && mv $(MESSAGE_WHEEL).part $(MESSAGE_WHEEL); }; } & messages=$$!; \
+	  $(INSTALL) $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera,sim]' && wait $$messages
 	@$(PIP) install --no-deps --force-reinstall $(MESSAGE_WHEEL)/*.whl
 	@echo $(ROS) > $@
 
 $(VENV)/.installed: $(VENV)/.runtime
 	@echo "setup: installing what the tests need (half a minute; on a loaded machine more)"
-	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[lab,open3d,hdf5,tables,urdf,view,serve,physics,docs,test,dev]'
+	@$(INSTALL) $(CONSTRAINTS) -e '.[lab,open3d,hdf5,tables,urdf,view,serve,physics,docs,test,dev]'
 	-@$(BIN)/foretouch doctor
 	@touch $@
 
