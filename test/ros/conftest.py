@@ -42,8 +42,6 @@ from foretouch.ros.nodes import NODES  # noqa: E402
 from foretouch.ros.runtime.internal_errors import InternalErrors, spin_on  # noqa: E402
 
 _domains = itertools.count()
-gc.collect()
-gc.freeze()  # what is loaded by now is not looked at by the collections between tests
 
 
 def open_domain(*, new: bool) -> int:
@@ -73,6 +71,7 @@ class Graph:
     """
 
     def __init__(self, *, alone: bool = False) -> None:
+        gc.freeze()  # the collection at the end looks at what the test made alone, not at all that is loaded
         self._alone = alone
         self.domain = open_domain(new=alone)
         self.probe = Node("probe", namespace="/foretouch")
