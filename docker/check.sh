@@ -70,7 +70,7 @@ bag() {
   ls foretouch-bag && foretouch segment foretouch-bag | tail -n 3
 }
 
-tests() { activate && cd "$HERE" && python3 -m pytest -q -rs -p no:cacheprovider -m "not slow" test/ros test/dataset/test_bag.py; }
+tests() { activate && cd "$HERE" && python3 -m pytest -q -rs -p no:cacheprovider -m "not slow" test/ros test/dataset/recordings/test_bag.py; }
 
 activate() { . venv/bin/activate && set +u && . install/setup.bash && set -u; }
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from foretouch.config import Settings, parse_overrides, setting
-from foretouch.dataset.bag_writer import write_bag
+from foretouch.dataset.formats.rosbag2 import write_bag
 from foretouch.errors import ForetouchError
 from foretouch.types import Cloud
 from foretouch_lab.simulation import random_scene

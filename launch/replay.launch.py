@@ -31,8 +31,8 @@ def generate_launch_description() -> LaunchDescription:
 
 def perception(context: LaunchContext) -> list[Any]:
     """Include perception with the input that the path holds: whole scenes, or objects that are cut out already."""
-    from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
+    from foretouch.ros.sessions.playlist import cloud_is_object
 
     source = open_source(LaunchConfiguration("path").perform(context))
     if source.info_topic:

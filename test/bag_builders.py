@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from foretouch.dataset.bag import Recording
+from foretouch.dataset.recordings.bag import Recording
 from foretouch.types import Cloud
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.dataset.pairing.cut import Interval
+from foretouch.dataset.labelling.cut import Interval
 from foretouch.tactile.messages.table import TactileReading
 from foretouch_lab.simulation.message_faults import FaultConfig, MessageFaults
 

@@ -13,11 +13,11 @@ from experiment_samples import make_samples
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.formats import open_samples
+from foretouch.dataset.formats.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.dataset.identity import Identity
-from foretouch.dataset.recording.reader import RecordedDataset
-from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
+from foretouch.dataset.recordings.reader import RecordedDataset
+from foretouch.dataset.recordings.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.source import Source
-from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.errors import ForetouchError
 from foretouch.grasp.pose import hand_rotation
 from foretouch.tactile import biotac_touch

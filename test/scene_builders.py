@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from foretouch.dataset.bag_writer import write_bag
+from foretouch.dataset.formats.rosbag2 import write_bag
 from foretouch.types import Cloud, Float32
 from foretouch_lab.simulation.depth_scene import random_scene
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recordings.verify import verify_dataset
 from foretouch.errors import FileError
 
 ROOT = Path(__file__).parents[1]

@@ -20,13 +20,13 @@ from every_case import every_case
 from recording_builders import assert_same_sample, record, write_grasps
 
 from foretouch.cli.main import main
-from foretouch.dataset.editing import relabel
 from foretouch.dataset.files import sealed
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.reader import RecordedDataset
-from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recordings.editing import relabel
+from foretouch.dataset.recordings.edits import read_edits
+from foretouch.dataset.recordings.reader import RecordedDataset
+from foretouch.dataset.recordings.verify import verify_dataset
+from foretouch.dataset.recordings.writer import RecordingWriter
 from foretouch.dataset.store import SEAL, Store
 from foretouch.errors import FileError
 from foretouch.types import Sample

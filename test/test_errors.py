@@ -15,7 +15,7 @@ from every_case import every_case
 
 import foretouch
 import foretouch_lab
-from foretouch.dataset.pairing.cut import PairingError
+from foretouch.dataset.labelling.cut import PairingError
 from foretouch.errors import CloudError, ConfigError, FileError, ForetouchError, SimulationError
 from foretouch.files import read_bytes
 

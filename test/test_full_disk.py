@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes to a file system that is really full, a tmpfs: nothing half-written is left, and what was written before is kept.
 
-The recorder's is in `test/dataset/recording/test_writer.py`.
+The recorder's is in `test/dataset/recordings/test_writer.py`.
 """
 
 import subprocess

@@ -32,15 +32,15 @@ ALLOWED: dict[str, dict[str, str]] = {
         DOOR: "the door",
         "src/foretouch/dataset/files.py": "a folder, to put its names on the disk",
         "src/foretouch/cli/main.py": "/dev/null",
-        "src/foretouch/dataset/recording/mcap_file.py": "a new file of the recorder, which must not exist",
+        "src/foretouch/dataset/recordings/mcap.py": "a new file of the recorder, which must not exist",
         "src/foretouch/ros/runtime/environment.py": "locks of Fast DDS, only of regular files of this user",
     },
     "os.fdopen": dict.fromkeys(
         (
             DOOR,
-            "src/foretouch/dataset/bag_files.py",
-            "src/foretouch/dataset/recording/edits.py",
-            "src/foretouch/dataset/session_check.py",
+            "src/foretouch/dataset/recordings/bag_files.py",
+            "src/foretouch/dataset/recordings/edits.py",
+            "src/foretouch/ros/sessions/check.py",
             "src/foretouch/report/rerun_viewer.py",
         ),
         "what the door has opened",
@@ -71,19 +71,23 @@ ALLOWED: dict[str, dict[str, str]] = {
         "src/foretouch_lab/simulation/objects/mesh.py": "of bytes, in a format that is named",
     },
     "safetensors.numpy.load_file": {"src/foretouch/cloud/segmentation/parts.py": "weights of the package"},
-    "sqlite3.connect": {"src/foretouch/dataset/bag_files.py": "the check of SQLite files, with a limit of steps"},
-    "rosbags.rosbag1.Reader": {"src/foretouch/dataset/bag_files.py": "of regular files, with limits of unpacking"},
-    "rosbags.rosbag2.Reader": {"src/foretouch/dataset/bag_files.py": "of regular files that were checked"},
+    "sqlite3.connect": {
+        "src/foretouch/dataset/recordings/bag_files.py": "the check of SQLite files, with a limit of steps"
+    },
+    "rosbags.rosbag1.Reader": {
+        "src/foretouch/dataset/recordings/bag_files.py": "of regular files, with limits of unpacking"
+    },
+    "rosbags.rosbag2.Reader": {"src/foretouch/dataset/recordings/bag_files.py": "of regular files that were checked"},
     # New files in folders of their own.
     "numpy.savez": {
         "src/foretouch/cloud/io/files.py": "to memory",
-        "src/foretouch/dataset/npz.py": "an export, in its new folder",
+        "src/foretouch/dataset/formats/npz.py": "an export, in its new folder",
     },
     "numpy.save": {"src/foretouch/cloud/io/files.py": "to memory"},
-    "rosbags.rosbag2.Writer": {"src/foretouch/dataset/bag_writer.py": "a new recording"},
+    "rosbags.rosbag2.Writer": {"src/foretouch/dataset/formats/rosbag2.py": "a new recording"},
     "pyarrow.OSFile": {"src/foretouch_lab/dataset/store_writer.py": "a new store"},
-    "pyarrow.parquet.ParquetWriter": {"src/foretouch/dataset/lerobot.py": "an export, in its new folder"},
-    "pyarrow.parquet.write_table": {"src/foretouch/dataset/lerobot.py": "an export, in its new folder"},
+    "pyarrow.parquet.ParquetWriter": {"src/foretouch/dataset/formats/lerobot.py": "an export, in its new folder"},
+    "pyarrow.parquet.write_table": {"src/foretouch/dataset/formats/lerobot.py": "an export, in its new folder"},
     # Programs: none that a file names or decodes.
     "subprocess.run": {
         "src/foretouch/cli/doctor.py": "our own self-test",

@@ -24,8 +24,8 @@ from foretouch.cli.output import print_table, warn
 from foretouch.cloud.io.depth_files import camera_facts
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import dump_yaml, load_yaml, parse_overrides
-from foretouch.dataset.editing import drop
-from foretouch.dataset.recording.repair import repair_dataset
+from foretouch.dataset.recordings.editing import drop
+from foretouch.dataset.recordings.repair import repair_dataset
 from foretouch.dataset.source import open_source
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import FileBytes, read_bytes, replace_files, require_schema, require_writable

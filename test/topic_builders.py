@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.dataset.bag_writer import BagWriter
-from foretouch.dataset.recording import sample_codec
+from foretouch.dataset.formats.rosbag2 import BagWriter
+from foretouch.dataset.recordings import sample_codec
 from foretouch.types import Cloud
 
 STORED = Path(sample_codec.__file__).parent / "definitions"

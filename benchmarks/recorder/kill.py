@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from foretouch.dataset.identity import Identity
-from foretouch.dataset.recording import writer as writer_module
-from foretouch.dataset.recording.reader import RecordedDataset
-from foretouch.dataset.recording.repair import repair_dataset
-from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
+from foretouch.dataset.recordings import writer as writer_module
+from foretouch.dataset.recordings.reader import RecordedDataset
+from foretouch.dataset.recordings.repair import repair_dataset
+from foretouch.dataset.recordings.verify import verify_dataset
+from foretouch.dataset.recordings.writer import RecordingConfig, RecordingWriter
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, Sample
 

@@ -271,8 +271,8 @@ def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[dict[str, Any]
 
 def verified(path: Path) -> str:
     """Verify a dataset after repair; gives its recordings, samples and faults as text."""
-    from foretouch.dataset.recording.repair import repair_dataset
-    from foretouch.dataset.recording.verify import verify_dataset
+    from foretouch.dataset.recordings.repair import repair_dataset
+    from foretouch.dataset.recordings.verify import verify_dataset
 
     repair_dataset(path)
     reports = verify_dataset(path)

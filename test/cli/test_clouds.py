@@ -11,7 +11,7 @@ import pytest
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.identity import Identity
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recordings.writer import RecordingWriter
 from foretouch.models.registry import find_card
 from foretouch.pipeline import Pipeline
 from foretouch.types import ASSUMED_TABLE, Cloud

@@ -8,7 +8,7 @@ from every_case import every_case
 from recording_builders import IDENTITY, MESSAGE, QUICK, TACTILE, TACTILE_TYPE, record, write_dataset
 
 from foretouch.cli.dataset import print_result
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recordings.writer import RecordingWriter
 from foretouch_lab.learning.data.splits import read_splits
 
 

@@ -15,7 +15,7 @@ from recording_builders import write_dataset
 
 from foretouch.cli.main import command_parser
 from foretouch.cloud.io.files import write_cloud
-from foretouch.dataset.bag_writer import BagWriter
+from foretouch.dataset.formats.rosbag2 import BagWriter
 from foretouch.types import Cloud
 from foretouch_lab.simulation.depth_scene import random_scene
 

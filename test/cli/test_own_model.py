@@ -10,7 +10,7 @@ from experiment_samples import make_samples
 from recording_builders import IDENTITY, QUICK
 
 from foretouch.dataset.identity import Identity
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recordings.writer import RecordingWriter
 from foretouch.grasp.pose import hand_rotation
 from foretouch.models.predictor import UNFAMILIAR_CURE
 from foretouch.models.registry import load_model

@@ -17,11 +17,11 @@ from answer_builders import refusal, touch_message
 from foretouch.cli.keys import RecordingKeys
 from foretouch.cli.live import live_panel
 from foretouch.cli.record import record_panel
-from foretouch.dataset.recording.operator import OperatorState, Reply
 from foretouch.errors import ConfigError
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import View
-from foretouch.ros.recorder.session import SessionStatus
+from foretouch.ros.sessions.operator import OperatorState, Reply
+from foretouch.ros.sessions.session import SessionStatus
 from foretouch.tactile import biotac_touch
 from foretouch.types import Evidence, Grasp, Prediction, Touch
 from foretouch_msgs.msg import RecorderStatus, TopicAccount, TouchPredictionArray

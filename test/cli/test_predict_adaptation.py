@@ -17,7 +17,7 @@ from sim_builders import CAN, made, scene
 
 from foretouch.cli.adaptation import _read_tare
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recordings.writer import RecordingWriter
 from foretouch.dataset.writing import write
 from foretouch.errors import FileError
 from foretouch.models import load_model

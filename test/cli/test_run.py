@@ -20,8 +20,8 @@ from scene_builders import scene_cloud, write_scenes
 
 from foretouch.cli import run as run_command
 from foretouch.cli.parser import CommandParser
-from foretouch.dataset.bag_writer import write_bag
-from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.formats.rosbag2 import write_bag
+from foretouch.dataset.recordings.verify import verify_dataset
 from foretouch.dataset.source import open_source
 from foretouch.errors import ModelError
 from foretouch.models.registry import find_card

@@ -19,7 +19,7 @@ from PIL import Image
 from recording_builders import IDENTITY, QUICK, record, write_grasps
 
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recordings.writer import RecordingWriter
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import _viewer, _viewer_environment
 from foretouch.tactile import BIOTAC_SP

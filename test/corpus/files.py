@@ -21,14 +21,14 @@ from recording_builders import IDENTITY, QUICK, record, write_dataset, write_sam
 
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import load_yaml
-from foretouch.dataset.bag import Recording
-from foretouch.dataset.editing import drop, undo
 from foretouch.dataset.files import sealed
 from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import import_samples
-from foretouch.dataset.recording.repair import repair_dataset
-from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recordings.bag import Recording
+from foretouch.dataset.recordings.editing import drop, undo
+from foretouch.dataset.recordings.repair import repair_dataset
+from foretouch.dataset.recordings.verify import verify_dataset
+from foretouch.dataset.recordings.writer import RecordingWriter
 from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import SEAL, sample_digest
 from foretouch.errors import ForetouchError

@@ -20,8 +20,8 @@ from shape_msgs.msg import Plane
 
 from foretouch import reading
 from foretouch.cloud.messages import decode_cloud, decode_objects
-from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
-from foretouch.dataset.pairing.buffers import SeenObjects
+from foretouch.dataset.labelling.assembler import AssemblerConfig, SampleAssembler
+from foretouch.dataset.labelling.buffers import SeenObjects
 from foretouch.errors import ForetouchError
 from foretouch.models import load_model
 from foretouch.models.history_keeper import HistoryKeeper

@@ -15,10 +15,10 @@ from recording_builders import IDENTITY, QUICK, assert_same_sample, read_folder,
 
 from foretouch.dataset.formats import export_samples, exported_formats, open_samples
 from foretouch.dataset.importing import import_samples
-from foretouch.dataset.info import describe
-from foretouch.dataset.recording.sample_codec import encode_sample
-from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recordings.sample_codec import encode_sample
+from foretouch.dataset.recordings.verify import verify_dataset
+from foretouch.dataset.recordings.writer import RecordingWriter
+from foretouch.dataset.samples import describe
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store, content_sha256
 from foretouch.errors import DatasetError, FileError
@@ -67,7 +67,7 @@ def test_nothing_is_built_from_an_unfinished_or_damaged_recording(dataset: Path,
         build_store([dataset], tmp_path / "store")
     first.write_bytes(good)
     second.write_bytes(second.read_bytes()[:-100])
-    assert describe(dataset)["unfinished"] == ["session-0002.mcap"]
+    assert describe(open_samples(dataset, unfinished=True))["unfinished"] == ["session-0002.mcap"]
     with pytest.raises(FileError, match=r"session-0002\.mcap: is not finished: run `foretouch dataset repair`"):
         build_store([dataset], tmp_path / "store")
     assert [p.name for p in tmp_path.iterdir()] == ["ds"]
@@ -108,7 +108,7 @@ def test_a_sample_that_two_sources_hold_is_refused(dataset: Path, tmp_path: Path
 def test_info_counts_and_discarded_samples_are_left_out(dataset: Path, tmp_path: Path) -> None:
     with RecordingWriter(dataset, IDENTITY, QUICK) as writer:
         writer.append(replace(record(1), flags=(DISCARDED,)))
-    info = describe(dataset)
+    info = describe(open_samples(dataset, unfinished=True))
     assert (info["kind"], info["samples"], info["labelled"], info["tared"], info["discarded"]) == (
         "recording",
         5,

@@ -14,14 +14,13 @@ from recording_builders import IDENTITY, QUICK
 from sensor_builders import XELA_TYPES, sens_stream, xela_counts, xela_stream
 from topic_builders import Faults, write_topics
 
-from foretouch.dataset.bag import Recording
 from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import BagTopics, WriteResult, import_samples
-from foretouch.dataset.info import describe
-from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, encode_sample
-from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import SampleSet
+from foretouch.dataset.recordings.bag import Recording
+from foretouch.dataset.recordings.sample_codec import SAMPLE_TYPE, encode_sample
+from foretouch.dataset.recordings.verify import verify_dataset
+from foretouch.dataset.recordings.writer import RecordingWriter
+from foretouch.dataset.samples import SampleSet, describe
 from foretouch.dataset.store import Store, content_sha256
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.description import load_sensor, packaged_sensor
@@ -69,7 +68,7 @@ def test_its_touch_has_all_values_by_channel_and_finger_and_the_recording_names_
     np.testing.assert_array_equal(one.tare.values, as_touch(0))
     assert (one.series.counts.shape[1], one.flags, one.contact_ns) == (96, ("frozen_TH", "frozen_FF"), AT)
     assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]
-    info = describe(tmp_path / "ds")
+    info = describe(open_samples(tmp_path / "ds", unfinished=True))
     assert info["sensor"] == f"{NAME} ({samples.sensor.sha256[:8]})"
     assert (info["ranges"]["Z_FF"], info["units"]["Z_FF"]) == ((30_600.0, 31_050.0), "counts")
     with Recording(next((tmp_path / "ds").glob("*.mcap"))) as bag:
@@ -110,7 +109,7 @@ def test_taxels_that_fail_are_replaced_and_counted_and_half_of_them_are_no_finge
     expected[[0, 5]] = expected[[1, 4]].mean(), expected[[1, 4, 6, 9]].mean()
     np.testing.assert_array_equal(z, expected)
     assert +result.left_out == {"taxels_dead": 1000}
-    assert describe(tmp_path / "dead/ds")["dead"] == {"TH": [0, 5]}
+    assert describe(open_samples(tmp_path / "dead/ds", unfinished=True))["dead"] == {"TH": [0, 5]}
     path = described(tmp_path, fingers=[{**fingers[0], "dead": list(range(8))}, fingers[1]])
     result, samples = imported(tmp_path / "half", sensor=path)
     assert (result.labelled, result.left_out["not_read_TH"], result.left_out["no_tactile"]) == (0, 500, 1)

@@ -14,7 +14,7 @@ from topic_builders import NS, TURNED, Faults, write_topics
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.importing import BagTopics, WriteResult, import_samples
-from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recordings.verify import verify_dataset
 from foretouch.errors import FileError
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.types import Cloud, Sample

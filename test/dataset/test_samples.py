@@ -20,8 +20,8 @@ from torch.utils.data import DataLoader
 
 import foretouch as ft
 from foretouch.dataset.formats import export_samples, open_samples
-from foretouch.dataset.recording.sample_codec import encode_sample
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recordings.sample_codec import encode_sample
+from foretouch.dataset.recordings.writer import RecordingWriter
 from foretouch.dataset.samples import SampleSet
 from foretouch.dataset.source import open_source
 from foretouch.errors import DatasetError, FileError

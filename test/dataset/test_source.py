@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from foretouch.cloud.io.files import write_cloud
-from foretouch.dataset.bag_writer import write_bag
+from foretouch.dataset.formats.rosbag2 import write_bag
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
 from foretouch.errors import FileError
 from foretouch.types import Cloud

@@ -20,7 +20,7 @@ from numpy.testing import assert_array_equal
 import foretouch as ft
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.importing import import_samples
-from foretouch.dataset.stamps import stamp_faults
+from foretouch.dataset.labelling.stamps import stamp_faults
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import HOLD, REST, Sample
 

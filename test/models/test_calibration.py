@@ -11,7 +11,7 @@ from calibrated_models import REST, make_calibration, make_tracked_calibration
 from every_case import every_case
 from numpy.testing import assert_allclose, assert_array_equal
 
-from foretouch.dataset.vision2tactile import read_touch
+from foretouch.dataset.formats.vision2tactile import read_touch
 from foretouch.errors import ModelError
 from foretouch.models import load_model
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup

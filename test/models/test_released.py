@@ -11,7 +11,7 @@ from recording_builders import read_folder
 
 from benchmarks.common import ROOT, read_csv
 from benchmarks.demo.bench import demo_rows, demo_run
-from foretouch.dataset.vision2tactile import folder_sha256
+from foretouch.dataset.formats.vision2tactile import folder_sha256
 from foretouch.errors import ModelError
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
 from foretouch.models.touch_model import History

@@ -13,7 +13,7 @@ from recording_builders import IDENTITY, QUICK, record
 
 from foretouch.cli.main import main
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recordings.writer import RecordingWriter
 from foretouch.dataset.samples import sensor_of_samples
 from foretouch.report import series_figure
 from foretouch.tactile.channels import BIOTAC_SP

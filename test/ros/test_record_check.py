@@ -12,7 +12,7 @@ import pytest
 from process_domain import process_environment
 from sim_builders import CAN, SHORT, scene
 
-from foretouch.dataset.session_check import CHECKS
+from foretouch.ros.sessions.check import CHECKS
 
 pytest.importorskip("libusb_package", reason="the camera's libraries are not installed")
 pytestmark = [pytest.mark.ros, pytest.mark.slow]

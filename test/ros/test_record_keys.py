@@ -8,10 +8,10 @@ import pytest
 from robot_builders import Robot
 from terminal import Terminal
 
-from foretouch.dataset.editing import undo
-from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.reader import RecordedDataset
-from foretouch.dataset.recording.repair import repair_dataset
+from foretouch.dataset.recordings.editing import undo
+from foretouch.dataset.recordings.edits import read_edits
+from foretouch.dataset.recordings.reader import RecordedDataset
+from foretouch.dataset.recordings.repair import repair_dataset
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

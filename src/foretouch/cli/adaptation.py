@@ -136,7 +136,7 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
 
 def _read_tare(paths: Sequence[str], sensor: Sensor, calibration: Calibration | None = None) -> tuple[Touch, Float64]:
     """Return the median of all readings of a sensor in some files with its TDC; warns of each file whose readings are like those in contact."""
-    from foretouch.dataset.vision2tactile import read_touch
+    from foretouch.dataset.formats.vision2tactile import read_touch
 
     readings: list[tuple[Touch, Float64]] = []
     for path in map(Path, paths):

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from foretouch.cli.output import print_json, print_text, warn
-from foretouch.dataset.recording.folder import opened_to_write
-from foretouch.dataset.session_check import CHECKS, CheckFinding, SessionCheck, store_check
+from foretouch.dataset.recordings.folder import opened_to_write
+from foretouch.ros.sessions.check import CHECKS, CheckFinding, SessionCheck, store_check
 from foretouch.tactile.channels import finger_label
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def run_check(node: "RecorderNode", arguments: argparse.Namespace) -> int:
 
 def _check(node: "RecorderNode", *, as_json: bool) -> list[CheckFinding]:
     """Print and return what is found."""
-    from foretouch.ros.recorder.check_feed import CheckFeed
+    from foretouch.ros.sessions.check import CheckFeed
 
     assert node.inputs is not None  # noqa: S101  an active node has them
     config, findings = node.config, list[CheckFinding]()

@@ -13,15 +13,15 @@ from foretouch.cli.commands import COMMANDS, CommandEntry
 from foretouch.cli.inputs import add_options, positive_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser, one_of
-from foretouch.dataset import editing, formats
+from foretouch.dataset import formats
 from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import BagTopics, import_samples
-from foretouch.dataset.info import PAIRING_EDGES_MS, describe
-from foretouch.dataset.recording.folder import is_dataset
-from foretouch.dataset.recording.reader import RecordedDataset
-from foretouch.dataset.recording.repair import repair_dataset
-from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.samples import only_finite, sensor_of_samples
+from foretouch.dataset.recordings import editing
+from foretouch.dataset.recordings.folder import is_dataset
+from foretouch.dataset.recordings.reader import RecordedDataset
+from foretouch.dataset.recordings.repair import repair_dataset
+from foretouch.dataset.recordings.verify import verify_dataset
+from foretouch.dataset.samples import PAIRING_EDGES_MS, describe, only_finite, sensor_of_samples
 from foretouch.dataset.store import Store, is_store
 from foretouch.doors import needs_extras
 from foretouch.errors import ConfigError, FileError, ForetouchError
@@ -157,7 +157,7 @@ def _added(module: ModuleType, words: str, arguments: argparse.Namespace) -> int
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    facts = describe(arguments.path)
+    facts = describe(open_samples(arguments.path, unfinished=True))
     if arguments.json:
         return print_result("", {"path": arguments.path, **facts, "pairing_edges_ms": PAIRING_EDGES_MS}, as_json=True)
     counts = "{samples} ({labelled} labelled, {tared} with tare, {discarded} discarded)".format(**facts)

@@ -15,9 +15,9 @@ from typing import Final, Self
 
 from rich.text import Text
 
-from foretouch.dataset.recording.operator import Action, Reply
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import uninterrupted
+from foretouch.ros.sessions.operator import Action, Reply
 
 _SEQUENCE: Final = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|O.)")  # such as of an arrow key
 _CONTROL_CHARACTERS: Final = 6  # place in the attributes of a terminal

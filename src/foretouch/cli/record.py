@@ -30,9 +30,9 @@ from foretouch.types import stamp_ns
 
 if TYPE_CHECKING:
     from foretouch.cli.keys import RecordingKeys
-    from foretouch.dataset.recording.operator import OperatorState
     from foretouch.ros.nodes.recorder import RecorderNode
-    from foretouch.ros.recorder.session import SessionStatus
+    from foretouch.ros.sessions.operator import OperatorState
+    from foretouch.ros.sessions.session import SessionStatus
     from foretouch.tactile.description import Sensor
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 

@@ -26,8 +26,8 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Return exit status 1 if the replay could not start or failed."""
-    from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
+    from foretouch.ros.sessions.playlist import cloud_is_object
 
     # So that an absent one is reported before anything starts.
     source = open_source(arguments.path, arguments.topic, camera=depth_camera(arguments))

@@ -149,9 +149,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Return parameters of each node by name, from the options; the source comes last, after its subscribers."""
-    from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
     from foretouch.ros.nodes.camera import DEPTH_TOPIC
+    from foretouch.ros.sessions.playlist import cloud_is_object
 
     given = [settings for _, settings in nodes_of_file(arguments.params)] if arguments.params else []
     perception: dict[str, Any] = {}

@@ -3,7 +3,7 @@
 
 Tables of others are written by `foretouch.write` (see `examples/import_*.py`). Ids of samples are kept. A new dataset appears as a whole or not at all; an existing one of the same hand and camera
 is extended. From a bag without samples of foretouch, samples are assembled as the recorder does it (see
-`foretouch.dataset.pairing`); clouds without a grasp that could be paired become samples without a touch.
+`foretouch.dataset.labelling`); clouds without a grasp that could be paired become samples without a touch.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,15 +17,15 @@ from typing import Final
 from foretouch.cloud.io.depth_messages import CameraInfos
 from foretouch.cloud.messages import decode_objects
 from foretouch.cloud.segmentation.segment import segment
-from foretouch.dataset.bag import Message, Recording, is_recording
-from foretouch.dataset.bag_colours import with_colours
 from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.identity import Identity
-from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
-from foretouch.dataset.pairing.buffers import SeenObjects
-from foretouch.dataset.pairing.cut import PairingConfig
-from foretouch.dataset.pairing.matcher import RejectedGrasp
-from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
+from foretouch.dataset.labelling.assembler import AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.labelling.buffers import SeenObjects
+from foretouch.dataset.labelling.cut import PairingConfig
+from foretouch.dataset.labelling.matcher import RejectedGrasp
+from foretouch.dataset.recordings.bag import Message, Recording, is_recording
+from foretouch.dataset.recordings.bag_colours import with_colours
+from foretouch.dataset.recordings.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.writing import WriteResult, write_records
 from foretouch.errors import CloudError, DatasetError, FileError, TactileError
 from foretouch.tactile.channels import BIOTAC_SP

@@ -16,8 +16,8 @@ from foretouch.cloud.io.colours import COLOUR_SUFFIXES
 from foretouch.cloud.io.depth_files import PAIRING, DepthCamera, Pairs
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, holds_points, read_cloud
 from foretouch.cloud.io.images import IMAGE_SUFFIXES
-from foretouch.dataset.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
 from foretouch.dataset.formats import is_sample_set, open_samples, readable_formats
+from foretouch.dataset.recordings.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
 from foretouch.errors import FileError
 from foretouch.files import require_existing
 from foretouch.types import Cloud, Sample
@@ -98,7 +98,7 @@ def open_source(
 
     Args:
         path: A cloud file, a folder of such files, a dataset in any readable format, or a recording of other topics
-            (see `foretouch.dataset.bag.Recording`).
+            (see `foretouch.dataset.recordings.bag.Recording`).
         topic: The topic of a recording that holds several topics of clouds; for a recorded dataset, the topic to read
             instead of its samples.
         frame_id: For clouds without a frame.

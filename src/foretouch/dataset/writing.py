@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.dataset.files import new_folder
-from foretouch.dataset.grasp_arrays import GraspArrays, Missing, Remarks
 from foretouch.dataset.identity import Identity, name_of
-from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
+from foretouch.dataset.labelling.grasp_arrays import GraspArrays, Missing, Remarks
+from foretouch.dataset.labelling.stamps import stamp_faults
+from foretouch.dataset.recordings.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
-from foretouch.dataset.stamps import stamp_faults
 from foretouch.errors import DatasetError, ForetouchError, shown
 from foretouch.files import as_path
 from foretouch.grasp import closing_faults

@@ -10,8 +10,8 @@ from robot_builders import QUICK, Robot
 from sensor_msgs.msg import Image, PointCloud2
 
 from foretouch import plan, segment
-from foretouch.dataset.pairing.assembler import AssemblerConfig
-from foretouch.dataset.pairing.cut import PairingConfig
+from foretouch.dataset.labelling.assembler import AssemblerConfig
+from foretouch.dataset.labelling.cut import PairingConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, colours_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode, View

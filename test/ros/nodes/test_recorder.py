@@ -10,8 +10,8 @@ from pair_builders import REST, level
 from robot_builders import MS, QUICK, accounts, outcomes, start
 from sensor_msgs.msg import CameraInfo, Image
 
-from foretouch.dataset.recording.reader import RecordedDataset
-from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recordings.reader import RecordedDataset
+from foretouch.dataset.recordings.verify import verify_dataset
 from foretouch.dataset.source import open_source
 from foretouch.errors import ConfigError
 from foretouch.ros.messages.conversions import header_to_msg

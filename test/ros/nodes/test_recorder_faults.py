@@ -7,8 +7,8 @@ import pytest
 from pair_builders import REST
 from robot_builders import MS, outcomes, start
 
-from foretouch.dataset.recording.reader import RecordedDataset
-from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recordings.reader import RecordedDataset
+from foretouch.dataset.recordings.verify import verify_dataset
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch_msgs.msg import Status
 from foretouch_msgs.srv import StartRecording

@@ -11,9 +11,9 @@ from pair_builders import level
 from robot_builders import MS, accounts, outcomes, start
 from std_srvs.srv import SetBool, Trigger
 
-from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.reader import RecordedDataset
-from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recordings.edits import read_edits
+from foretouch.dataset.recordings.reader import RecordedDataset
+from foretouch.dataset.recordings.verify import verify_dataset
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch_msgs.srv import LabelGrasp
 

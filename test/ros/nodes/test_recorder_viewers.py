@@ -13,8 +13,8 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from foretouch.dataset.recording.reader import RecordedDataset
-from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recordings.reader import RecordedDataset
+from foretouch.dataset.recordings.verify import verify_dataset
 from foretouch.ros.messages.conversions import header_to_msg
 
 pytestmark = pytest.mark.ros

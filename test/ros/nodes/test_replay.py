@@ -16,14 +16,14 @@ from std_msgs.msg import String
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.cloud.messages import decode_cloud
-from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, Topic
-from foretouch.dataset.bag_writer import BagWriter, write_bag
+from foretouch.dataset.formats.rosbag2 import BagWriter, write_bag
 from foretouch.dataset.identity import Identity
-from foretouch.dataset.playlist import Pace, entries
-from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
+from foretouch.dataset.recordings.bag import POINT_CLOUD_TYPE, Recording, Topic
+from foretouch.dataset.recordings.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.source import open_source
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.replay import playable
+from foretouch.ros.sessions.playlist import Pace, entries
 from foretouch.types import CameraModel, Cloud, assumed_table, stamp_ns
 from foretouch_msgs.msg import TablePlane, TouchPredictionArray
 

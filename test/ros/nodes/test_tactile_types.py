@@ -9,7 +9,7 @@ from pair_builders import level
 from robot_builders import QUICK, Robot
 from tactile_type_builder import MADE_UP_TYPE, add_tactile_type
 
-from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recordings.reader import RecordedDataset
 from foretouch.ros.messages.conversions import header_to_msg
 
 pytestmark = pytest.mark.ros

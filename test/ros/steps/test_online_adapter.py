@@ -22,8 +22,8 @@ from std_srvs.srv import Trigger
 
 from foretouch.cli.live import live_panel
 from foretouch.cloud.messages import decode_objects
-from foretouch.dataset.pairing.buffers import TouchBuffer
-from foretouch.dataset.pairing.cut import Interval, cut_touch
+from foretouch.dataset.labelling.buffers import TouchBuffer
+from foretouch.dataset.labelling.cut import Interval, cut_touch
 from foretouch.models import load_model
 from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.models.touch_model import History

@@ -20,13 +20,13 @@ from sensor_msgs.msg import Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.config import setting
-from foretouch.dataset.recording.sample_codec import Definitions
+from foretouch.dataset.recordings.sample_codec import Definitions
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.recorder.subscriptions import RecordedTopic, sample_topics
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.subscription import InputTopic, SerializedMessage, type_name
+from foretouch.ros.sessions.subscriptions import RecordedTopic, sample_topics
 from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
 _END_S: Final = 2.0  # for clients to hear of the end

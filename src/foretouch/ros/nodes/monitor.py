@@ -21,8 +21,8 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from foretouch.cloud.io.colours import colours_of
 from foretouch.cloud.messages import decode_cloud, decode_objects
-from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
-from foretouch.dataset.pairing.buffers import SeenObjects
+from foretouch.dataset.labelling.assembler import AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.labelling.buffers import SeenObjects
 from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.ros.messages.requests import read_serialized, status_name
 from foretouch.ros.messages.tactile import message_class

@@ -18,18 +18,18 @@ from std_srvs.srv import SetBool, Trigger
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.identity import Identity, check_name
-from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
-from foretouch.dataset.pairing.cut import Interval, PairingConfig
-from foretouch.dataset.pairing.matcher import Label
-from foretouch.dataset.recording.operator import Action, Operator
-from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
+from foretouch.dataset.labelling.assembler import AssemblerConfig, SampleAssembler
+from foretouch.dataset.labelling.cut import Interval, PairingConfig
+from foretouch.dataset.labelling.matcher import Label
+from foretouch.dataset.recordings.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.recorder.session import RecordingSession, SessionStatus
-from foretouch.ros.recorder.subscriptions import RecorderInputs, colour_topic, depth_topics, robot_topics, sample_topics
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.ros.sessions.operator import Action, Operator
+from foretouch.ros.sessions.session import RecordingSession, SessionStatus
+from foretouch.ros.sessions.subscriptions import RecorderInputs, colour_topic, depth_topics, robot_topics, sample_topics
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileReader
 from foretouch.topics import GRASPS_TOPIC

@@ -27,8 +27,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.messages import decode_cloud, read_header, with_stamp
 from foretouch.config import setting
-from foretouch.dataset.bag import Topic
-from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries
+from foretouch.dataset.recordings.bag import Topic
 from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
@@ -37,6 +36,7 @@ from foretouch.ros.messages.tactile import message_class
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.discovery import ends_of_topics, is_heard_outside
 from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
+from foretouch.ros.sessions.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.types import Plane, assumed_table, stamp_ns
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray

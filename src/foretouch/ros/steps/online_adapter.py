@@ -18,9 +18,9 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
-from foretouch.dataset.pairing.buffers import SeenObjects
-from foretouch.dataset.pairing.matcher import RejectedGrasp
+from foretouch.dataset.labelling.assembler import AssemblerConfig, SampleAssembler
+from foretouch.dataset.labelling.buffers import SeenObjects
+from foretouch.dataset.labelling.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.models.touch_model import Readings, TouchModel

@@ -6,7 +6,7 @@ from typing import Final
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
-from foretouch.dataset.pairing.cut import PairingConfig
+from foretouch.dataset.labelling.cut import PairingConfig
 from foretouch.grasp import CarriedConfig, GeoGraspConfig, HandConfig
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.registry import MODEL_WORDS, PREDICTOR_WORDS

@@ -12,9 +12,9 @@ from typing import Any, Final, Self
 import numpy as np
 
 from foretouch.dataset.formats import open_samples
+from foretouch.dataset.formats.vision2tactile import folder_sha256
 from foretouch.dataset.samples import SampleSet, only_finite
 from foretouch.dataset.store import Store, content_sha256, sample_digest
-from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of, quoted
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels

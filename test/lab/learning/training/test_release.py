@@ -10,7 +10,7 @@ from run_builders import write_store
 
 from foretouch.cli.main import main
 from foretouch.dataset.formats import export_samples
-from foretouch.dataset.vision2tactile import folder_sha256
+from foretouch.dataset.formats.vision2tactile import folder_sha256
 from foretouch.models import load_model
 
 CONFIG = """
