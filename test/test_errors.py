@@ -15,9 +15,9 @@ from every_case import every_case
 
 import foretouch
 import foretouch_lab
+from foretouch.base.files import read_bytes
 from foretouch.dataset.labelling.cut import PairingError
 from foretouch.errors import CloudError, ConfigError, FileError, ForetouchError, SimulationError
-from foretouch.files import read_bytes
 
 SENT = {"path": Path("a/b.mcap"), "status": 3}  # arguments of errors that are not texts
 

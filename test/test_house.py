@@ -11,7 +11,7 @@ from every_case import every_case
 
 ROOT = Path(__file__).parents[1]
 FILES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted((ROOT / "src").rglob("*.py"))}
-EXCEPTED = {"src/foretouch/processes.py": "_result_queue"}
+EXCEPTED = {"src/foretouch/base/processes.py": "_result_queue"}
 """Of a pool that is ended at once: without closing it, the pool may wait for the rest of a result. Python 3.14 has a public way."""
 OURS = ("foretouch", "foretouch_lab")
 NAMED_TUPLE = {"_replace", "_asdict", "_fields", "_make"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every file is opened in `foretouch.files`, and each format is decoded in one place: what else opens, unpacks or starts is listed here, with the reason."""
+"""Every file is opened in `foretouch.base.files`, and each format is decoded in one place: what else opens, unpacks or starts is listed here, with the reason."""
 
 import ast
 import re
@@ -25,7 +25,7 @@ OPENS = re.compile(
 METHODS = {"read_text", "read_bytes", "write_text", "write_bytes", "tofile", "savefig"}
 MODE = re.compile(r"[rwax][bt+]*")
 
-DOOR = "src/foretouch/files.py"
+DOOR = "src/foretouch/base/files.py"
 ALLOWED: dict[str, dict[str, str]] = {
     # Files.
     "os.open": {
@@ -41,7 +41,7 @@ ALLOWED: dict[str, dict[str, str]] = {
             "src/foretouch/dataset/recordings/bag_files.py",
             "src/foretouch/dataset/recordings/edits.py",
             "src/foretouch/ros/sessions/check.py",
-            "src/foretouch/report/rerun_viewer.py",
+            "src/foretouch/report/rerun_view.py",
         ),
         "what the door has opened",
     ),
@@ -94,10 +94,10 @@ ALLOWED: dict[str, dict[str, str]] = {
     # Programs: none that a file names or decodes.
     "subprocess.run": {
         "src/foretouch/cli/doctor.py": "our own self-test",
-        "src/foretouch/report/rerun_viewer.py": "Rerun's viewer, which the user asks for",
+        "src/foretouch/report/rerun_view.py": "Rerun's viewer, which the user asks for",
         "src/foretouch_lab/experiments/framework/manifest.py": "git, for the revision of an experiment",
     },
-    "subprocess.Popen": {"src/foretouch/report/rerun_viewer.py": "Rerun's viewer, which the user asks for"},
+    "subprocess.Popen": {"src/foretouch/report/rerun_view.py": "Rerun's viewer, which the user asks for"},
 }
 """Places that may call each, with the reason."""
 

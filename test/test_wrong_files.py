@@ -19,6 +19,7 @@ from every_case import every_case, every_refusal
 from PIL import Image
 from recording_builders import write_dataset
 
+from foretouch.base.files import FileBytes, read_bytes, replace_files, require_schema, require_writable
 from foretouch.cli.main import main
 from foretouch.cli.output import print_table, warn
 from foretouch.cloud.io.depth_files import camera_facts
@@ -28,7 +29,6 @@ from foretouch.dataset.recordings.editing import drop
 from foretouch.dataset.recordings.repair import repair_dataset
 from foretouch.dataset.source import open_source
 from foretouch.errors import ConfigError, FileError, ForetouchError
-from foretouch.files import FileBytes, read_bytes, replace_files, require_schema, require_writable
 from foretouch.models.history_keeper import HistoryFile
 from foretouch.report.panels import new_figure, save_small
 from foretouch.report.rerun_view import write_view

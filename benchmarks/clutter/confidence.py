@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Is a segment one whole object as often as its confidence says, and is the target that it selects? See confidence.md.
 
-The weights of `cloud/segmentation/confidence.py` are fitted to all labelled images that are given, and judged with each source left out
+The weights of `cloud/segmentation/objects.py` are fitted to all labelled images that are given, and judged with each source left out
 in turn: a source is an image's origin (the word before the first _ in its name in `real_scenes`), OSD, the piles, or the rooms.
 """
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.base.files import as_path
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
 from foretouch.doors import FUNCTIONS
 from foretouch.errors import TactileError
-from foretouch.files import as_path
 from foretouch.grasp.messages import decode_predictions
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Pipeline, PipelineConfig

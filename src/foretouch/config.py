@@ -22,8 +22,8 @@ from typing import Any, ClassVar, Final, Self
 
 import yaml
 
+from foretouch.base.files import read_bytes, text_in, whole_number
 from foretouch.errors import ConfigError, FileError, nearest, none_of, quoted, require_type, shown
-from foretouch.files import read_bytes, text_in, whole_number
 
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
 _YAML_BYTES: Final = 100_000  # the largest file of the package has 5000

@@ -10,8 +10,8 @@ from contextlib import redirect_stdout
 from typing import Any, Final, TypeVar
 
 from foretouch import __version__
+from foretouch.base.processes import ONE_THREAD
 from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError, described
-from foretouch.processes import ONE_THREAD
 
 LOCAL_CLUSTER: Final = "local"  # address that starts a Ray node on this machine
 

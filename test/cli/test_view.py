@@ -20,8 +20,7 @@ from recording_builders import IDENTITY, QUICK, record, write_grasps
 
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.recordings.writer import RecordingWriter
-from foretouch.report.rerun_view import ViewStep, write_view
-from foretouch.report.rerun_viewer import _viewer, _viewer_environment
+from foretouch.report.rerun_view import ViewStep, _viewer, _viewer_environment, write_view
 from foretouch.tactile import BIOTAC_SP
 from foretouch.types import Cloud, Prediction, Sample, Touch
 

@@ -15,11 +15,11 @@ from every_case import every_case
 from recording_builders import record, write_dataset
 
 import foretouch as ft
+from foretouch.base.files import replace_files
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import import_samples
 from foretouch.errors import FileError
-from foretouch.files import replace_files
 from foretouch_lab.dataset.store_writer import StoreWriter, build_store
 
 

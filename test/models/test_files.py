@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from foretouch.base.files import file_sha256, replace_files
 from foretouch.errors import FileError, ModelError
-from foretouch.files import file_sha256, replace_files
 from foretouch.models.files import packed, read_tensors
 
 TENSORS = {

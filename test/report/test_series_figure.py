@@ -15,7 +15,7 @@ from foretouch.cli.main import main
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.recordings.writer import RecordingWriter
 from foretouch.dataset.samples import sensor_of_samples
-from foretouch.report import series_figure
+from foretouch.report import touch_figure
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.types import HOLD, REST, Cloud, Sample, TouchSeries
 
@@ -49,9 +49,9 @@ def drawn(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[Any]:
 
 
 def test_a_row_has_the_changes_from_rest_and_the_pads_with_dead_ones_hollow(monkeypatch: pytest.MonkeyPatch) -> None:
-    figures = drawn(monkeypatch, series_figure)
+    figures = drawn(monkeypatch, touch_figure)
     records = [pressed(number) for number in range(2)]
-    series_figure.save_series_sheet("a.png", records, "two", DEAD)
+    touch_figure.save_series_sheet("a.png", records, "two", DEAD)
     axes = figures[0].axes
     assert len(axes) == 2 * 4 + 1  # and the scale
     for number, one in enumerate(records):

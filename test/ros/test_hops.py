@@ -9,7 +9,7 @@ import pytest
 from sensor_msgs.msg import PointCloud2
 
 import foretouch
-from foretouch.bounded_queue import BoundedQueue
+from foretouch.base.bounded_queue import BoundedQueue
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch_msgs.msg import TouchPredictionArray

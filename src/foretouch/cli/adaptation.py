@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from foretouch.base.files import read_json, require_schema
 from foretouch.cli.output import warn
 from foretouch.dataset.formats import open_samples
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
-from foretouch.files import read_json, require_schema
 from foretouch.tactile import make_tare, tdc_of
 from foretouch.tactile.description import require_same
 from foretouch.types import Float64, Grasp, Predictions, Sample, Touch

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from foretouch.base.files import PICTURE_SUFFIXES, require_existing, require_writable
 from foretouch.cli.commands import COMMANDS, CommandEntry
 from foretouch.cli.inputs import add_options, positive_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
@@ -25,7 +26,6 @@ from foretouch.dataset.samples import PAIRING_EDGES_MS, describe, only_finite, s
 from foretouch.dataset.store import Store, is_store
 from foretouch.doors import needs_extras
 from foretouch.errors import ConfigError, FileError, ForetouchError
-from foretouch.files import PICTURE_SUFFIXES, require_existing, require_writable
 from foretouch.tactile.messages.table import TactileConfig
 
 _SHEET_SAMPLES = 12
@@ -237,8 +237,7 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    from foretouch.report.series_figure import save_series_sheet
-    from foretouch.report.touch_figure import save_contact_sheet
+    from foretouch.report.touch_figure import save_contact_sheet, save_series_sheet
 
     require_writable(arguments.out, *PICTURE_SUFFIXES)
     samples = open_samples(arguments.source)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from foretouch.base.files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.inputs import error_line
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ForetouchError
-from foretouch.files import PICTURE_SUFFIXES, require_writable
 
 
 @dataclass(frozen=True, kw_only=True)

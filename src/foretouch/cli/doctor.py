@@ -20,10 +20,10 @@ from typing import Literal
 
 from packaging.requirements import Requirement
 
+from foretouch.base.processes import ONE_THREAD
 from foretouch.cli.output import announce, print_json, print_table
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.processes import ONE_THREAD
 from foretouch.ros.runtime.environment import FAST_DDS, check_variables, large_clouds, wheels_of_ros
 
 _PATIENCE_S = 120.0  # of one check in its own process; the longest takes 6 s on an idle machine

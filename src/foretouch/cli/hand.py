@@ -7,12 +7,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from foretouch.base.files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.descriptions import Descriptions
 from foretouch.cli.inputs import positive_value
 from foretouch.cli.parser import CommandParser
 from foretouch.doors import FUNCTIONS
 from foretouch.errors import ConfigError
-from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.grasp.hand import hand_files, load_hand
 
 

@@ -9,6 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
+from foretouch.base.files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.output import print_json, warn
 from foretouch.cli.parser import CommandParser, one_of
 from foretouch.cloud.io.depth_files import PAIRING, DepthCamera
@@ -16,7 +17,6 @@ from foretouch.cloud.io.mask_files import read_mask
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import CloudError, ConfigError, ForetouchError, shown
-from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.pipeline import Pipeline
 from foretouch.stream import Stream, StreamConfig
 from foretouch.types import Cloud, Plane, Sample, assumed_table

@@ -15,8 +15,8 @@ from typing import Final, Self
 
 from rich.text import Text
 
+from foretouch.base.interrupts import uninterrupted
 from foretouch.errors import ForetouchError
-from foretouch.interrupts import uninterrupted
 from foretouch.ros.sessions.operator import Action, Reply
 
 _SEQUENCE: Final = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|O.)")  # such as of an arrow key

@@ -13,11 +13,11 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 
 from foretouch import __version__
+from foretouch.base.interrupts import end_at_once, raise_interrupts, signal_number
 from foretouch.cli.commands import COMMANDS, CommandEntry
 from foretouch.cli.parser import CommandParser
 from foretouch.doors import needs_extras
 from foretouch.errors import ForetouchError, shown
-from foretouch.interrupts import end_at_once, raise_interrupts, signal_number
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from foretouch.base.files import file_sha256
 from foretouch.cli.inputs import add_options
 from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ModelError
-from foretouch.files import file_sha256
 from foretouch.models.registry import available_models, find_cards, load_model
 
 _SPLITS = ("random", "time", "object")

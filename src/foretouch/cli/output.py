@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from foretouch.bounded_queue import BoundedQueue
+from foretouch.base.bounded_queue import BoundedQueue
 from foretouch.errors import escaped
 from foretouch.types.arrays import plain
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from rich.panel import Panel
 
+from foretouch.base.files import PICTURE_SUFFIXES, require_writable
 from foretouch.camera.source import ImageSource, find_source
 from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import CAMERA, add_options, depth_camera, numbers, positive_number, positive_value
@@ -24,7 +25,6 @@ from foretouch.cli.parser import CommandParser
 from foretouch.cli.screen import terminal, watch
 from foretouch.doors import needs_extras
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.models import History, TouchModel, load_model
 from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file

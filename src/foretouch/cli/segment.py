@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.base.files import replace_files, require_writable
 from foretouch.cli.inputs import READ, add_options, check_single, draw_result, pipeline_config, process_inputs, scene_of
 from foretouch.cli.output import print_table
 from foretouch.cli.parser import CommandParser
@@ -16,7 +17,6 @@ from foretouch.cloud.geometry.limits import check_object
 from foretouch.cloud.io.files import npy_bytes
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, LimitError
-from foretouch.files import replace_files, require_writable
 from foretouch.pipeline import Pipeline
 from foretouch.types import Cloud
 

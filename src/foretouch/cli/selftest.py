@@ -40,7 +40,7 @@ def exact_grasp() -> Grasp:
 
 def check_models() -> None:
     """Compare the shipped models and their answers with those stored with this version; a `ModelError` names the first that differs."""
-    from foretouch.files import read_json
+    from foretouch.base.files import read_json
     from foretouch.models import available_models
 
     expected = read_json(_EXPECTED)
@@ -94,7 +94,7 @@ def check_ros() -> None:
 
 
 if __name__ == "__main__":
-    from foretouch.files import write_text
+    from foretouch.base.files import write_text
     from foretouch.models import available_models
 
     lines = [f' "{name}": {json.dumps(_answers(name))}' for name in sorted(available_models())]

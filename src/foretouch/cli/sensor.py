@@ -75,7 +75,7 @@ def _row(record: dict[str, Any]) -> list[str]:
 
 
 def _save_figure(name: str, path: Path) -> None:
-    from foretouch.report.sensor_figure import save_sensor_figure
+    from foretouch.report.finger_figure import save_sensor_figure
 
     save_sensor_figure(load_sensor(name), path)
 

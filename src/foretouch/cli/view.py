@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from foretouch.base.files import require_existing, require_writable
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.output import progress_bar, warn
@@ -19,10 +20,8 @@ from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.samples import SampleSet, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.files import require_existing, require_writable
 from foretouch.pipeline import Pipeline
-from foretouch.report.rerun_view import ViewStep, write_view
-from foretouch.report.rerun_viewer import open_viewer, save_screenshot
+from foretouch.report.rerun_view import ViewStep, open_viewer, save_screenshot, write_view
 from foretouch.tactile.description import require_same
 from foretouch.types import DISCARDED, Grasp, Sample, Touch
 from foretouch.types.scene import Object

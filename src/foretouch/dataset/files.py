@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from foretouch import __version__
+from foretouch.base.files import LOCK, PART, TEXT_LIMIT, free_name, json_in, lock, read_bytes, system_errors
 from foretouch.errors import FileError, VersionError, shown
-from foretouch.files import LOCK, PART, TEXT_LIMIT, free_name, json_in, lock, read_bytes, system_errors
 
 
 @contextmanager

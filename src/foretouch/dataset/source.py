@@ -12,6 +12,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
+from foretouch.base.files import require_existing
 from foretouch.cloud.io.colours import COLOUR_SUFFIXES
 from foretouch.cloud.io.depth_files import PAIRING, DepthCamera, Pairs
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, holds_points, read_cloud
@@ -19,7 +20,6 @@ from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.dataset.formats import is_sample_set, open_samples, readable_formats
 from foretouch.dataset.recordings.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
 from foretouch.errors import FileError
-from foretouch.files import require_existing
 from foretouch.types import Cloud, Sample
 
 #: Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise.

@@ -25,11 +25,11 @@ from typing import Any, BinaryIO, Final, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from foretouch.base.files import COUNT, file_sha256, open_regular, parse_json, require_schema
 from foretouch.dataset.files import read_manifest
 from foretouch.dataset.identity import Identity
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
-from foretouch.files import COUNT, file_sha256, open_regular, parse_json, require_schema
 from foretouch.tactile.description import sensor_in
 from foretouch.types import Cloud, Grasp, Plane, Sample, Touch
 from foretouch.types.channels import Channels

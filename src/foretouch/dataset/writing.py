@@ -14,6 +14,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
+from foretouch.base.files import as_path
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.identity import Identity, name_of
 from foretouch.dataset.labelling.grasp_arrays import GraspArrays, Missing, Remarks
@@ -21,7 +22,6 @@ from foretouch.dataset.labelling.stamps import stamp_faults
 from foretouch.dataset.recordings.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError, ForetouchError, shown
-from foretouch.files import as_path
 from foretouch.grasp import closing_faults
 from foretouch.tactile.description import Sensor, load_sensor
 from foretouch.types import Grasps, Sample

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
+from foretouch.base.files import COUNT, Number, read_json, replace_files, require_schema
 from foretouch.errors import ConfigError, FileError, ModelError, TactileError, quoted, shown
-from foretouch.files import COUNT, Number, read_json, replace_files, require_schema
 from foretouch.models.calibration import Calibration
 from foretouch.models.files import packed, read_part, read_tensors
 from foretouch.tactile.description import Sensor, require_same, sensor_in

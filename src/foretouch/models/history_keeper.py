@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from foretouch.base.files import free_name, open_own, system_errors
 from foretouch.errors import ConfigError, FileError, described
-from foretouch.files import free_name, open_own, system_errors
 from foretouch.models.touch_model import History, TouchModel
 
 

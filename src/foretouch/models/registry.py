@@ -10,8 +10,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
+from foretouch.base.files import read_json
 from foretouch.errors import FileError, ModelError, nearest, shown
-from foretouch.files import read_json
 from foretouch.models.card import CARD_FORMAT, OWN, read_card
 from foretouch.models.touch_model import TouchModel
 

@@ -20,6 +20,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
+from foretouch.base.files import as_path, read_bytes, replace_files, system_errors
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
 from foretouch.errors import (
     CloudError,
@@ -31,7 +32,6 @@ from foretouch.errors import (
     require_type,
     shown,
 )
-from foretouch.files import as_path, read_bytes, replace_files, system_errors
 from foretouch.grasp.axis import with_rotations
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import closing_faults, joined_faults
@@ -39,8 +39,7 @@ from foretouch.grasp.reach import DEFAULT_REACH, OFF_OBJECT, ReachConfig, in_the
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.card import OWN, card_sensor
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_pressures
-from foretouch.models.files import under
-from foretouch.models.history_file import pack_history, to_bytes, to_text, unpack_history
+from foretouch.models.files import pack_history, to_bytes, to_text, under, unpack_history
 from foretouch.models.predictor import Estimate, Predictor
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import Ranges, touch_faults, usual_ranges

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
+from foretouch.base.files import read_bytes, replace_files
 from foretouch.errors import FileError
-from foretouch.files import read_bytes, replace_files
 from foretouch.types import Cloud, Float64
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from foretouch.base.files import as_path
 from foretouch.errors import ConfigError, none_of, shown
-from foretouch.files import as_path
 from foretouch.report.camera_figure import draw_scene_image, window_of
 from foretouch.report.finger_figure import FingerScale, finger_levels, title_finger
 from foretouch.report.hand_figure import draw_boxes, hand_boxes

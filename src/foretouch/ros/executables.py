@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 
+from foretouch.base.interrupts import end_at_once, raise_interrupts
 from foretouch.errors import ForetouchError
-from foretouch.interrupts import end_at_once, raise_interrupts
 from foretouch.ros.graph import Graph
 from foretouch.ros.nodes import NODES
 from foretouch.ros.runtime.environment import check_variables, prepare_environment

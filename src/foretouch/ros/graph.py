@@ -13,8 +13,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, cast
 
+from foretouch.base.interrupts import uninterrupted
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.interrupts import uninterrupted
 from foretouch.ros.nodes import NODES
 from foretouch.ros.runtime.environment import prepare_environment, stale_bytes, start_rclpy
 from foretouch.ros.runtime.parameter_files import check_parameters

@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
+from foretouch.base.files import read_bytes
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, FileError, quoted
-from foretouch.files import read_bytes
 from foretouch.types import Bool, Float64, Floating, Index
 
 COLUMNS: Final = ("index", "x", "y", "z", "nx", "ny", "nz")

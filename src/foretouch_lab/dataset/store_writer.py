@@ -17,13 +17,13 @@ import numpy as np
 import pyarrow as pa
 
 from foretouch import __version__
+from foretouch.base.files import file_sha256, system_errors, write_text
 from foretouch.dataset.files import new_folder, sealed
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.identity import id_number, numbered_id
 from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
-from foretouch.files import file_sha256, system_errors, write_text
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, with_sensor

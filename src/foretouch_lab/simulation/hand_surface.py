@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.base.files import TEXT_LIMIT, read_bytes
 from foretouch.errors import FileError, described, none_of
-from foretouch.files import TEXT_LIMIT, read_bytes
 from foretouch.types import Float64, Index
 
 LONGEST_M: Final = 2.0

@@ -16,8 +16,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from foretouch.base.processes import one_thread_each, process_pool
 from foretouch.errors import ConfigError, SimulationError
-from foretouch.processes import one_thread_each, process_pool
 from foretouch.tactile.messages.biotac import FINGERS, OTHERS
 from foretouch.types import Sample
 from foretouch_lab.simulation.effects import EFFECTS

@@ -8,8 +8,7 @@ from every_case import every_case
 from scene_builders import table_scene
 
 from foretouch.cloud.segmentation.clusters import Clusters
-from foretouch.cloud.segmentation.confidence import confidence, inputs
-from foretouch.cloud.segmentation.objects import CUT, TargetConfig, select_free, select_targets
+from foretouch.cloud.segmentation.objects import CUT, TargetConfig, confidence, inputs, select_free, select_targets
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.pipeline import Pipeline
 from foretouch.types import ASSUMED_TABLE, Cloud

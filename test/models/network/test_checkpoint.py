@@ -12,8 +12,8 @@ from contact_model_builders import edit_card
 from every_case import every_case
 from safetensors.torch import load_file, save_file
 
+from foretouch.base.files import file_sha256
 from foretouch.errors import ModelError
-from foretouch.files import file_sha256
 from foretouch.models.network.checkpoint import load_network
 from foretouch.models.network.folding import tensor_shapes
 from foretouch.models.registry import load_model

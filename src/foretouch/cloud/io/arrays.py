@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
+from foretouch.base.files import read_bytes
 from foretouch.cloud.io.point_files import SIZE_LIMIT, check_unpacked
 from foretouch.errors import FileError, described, shown
-from foretouch.files import read_bytes
 from foretouch.types import AnyArray
 
 _HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds

@@ -14,11 +14,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.base.files import require_existing
 from foretouch.cloud.io.arrays import read_array
 from foretouch.cloud.io.depth_messages import image_pixels
 from foretouch.cloud.io.images import decode_image, read_image
 from foretouch.errors import CloudError, FileError, none_of, shown
-from foretouch.files import require_existing
 from foretouch.types import AnyArray, UInt8
 
 COLOUR_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".npy")

@@ -18,13 +18,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.base.files import json_in, read_bytes, require_existing
 from foretouch.cloud.io.colours import COLOUR_SUFFIXES, as_colours, read_colours, require_size
 from foretouch.cloud.io.depth_messages import camera_model
 from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.cloud.io.mask_files import MASK_SUFFIXES
 from foretouch.config import EMPTY, load_yaml
 from foretouch.errors import CloudError, ConfigError, FileError, described, none_of, shown
-from foretouch.files import json_in, read_bytes, require_existing
 from foretouch.types import AnyArray, CameraModel, Cloud, UInt8
 from foretouch.types.camera import MODELS, check_image
 

@@ -12,12 +12,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.base.files import as_path, replace_files, system_errors
 from foretouch.cloud.io.arrays import array_names, read_array, read_arrays
 from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.images import IMAGE_SUFFIXES, read_image
 from foretouch.cloud.io.point_files import pcd_bytes, ply_bytes, read_pcd, read_ply
 from foretouch.errors import CloudError, FileError
-from foretouch.files import as_path, replace_files, system_errors
 from foretouch.types import AnyArray, Cloud, Float32
 
 _OPTIONAL: Final = ("rgb", "frame_id", "stamp_ns")

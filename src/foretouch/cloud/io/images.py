@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from foretouch.base.files import read_bytes
 from foretouch.errors import CloudError, FileError, described
-from foretouch.files import read_bytes
 from foretouch.types import AnyArray
 
 if TYPE_CHECKING:

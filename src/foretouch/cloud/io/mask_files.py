@@ -4,11 +4,11 @@
 from pathlib import Path
 from typing import Any, Final
 
+from foretouch.base.files import require_existing
 from foretouch.cloud.io.arrays import array_names, read_array, read_arrays
 from foretouch.cloud.io.depth_messages import image_pixels
 from foretouch.cloud.io.images import IMAGE_SUFFIXES, read_image
 from foretouch.errors import CloudError, FileError, none_of, shown
-from foretouch.files import require_existing
 from foretouch.types import AnyArray
 
 MASK_SUFFIXES: Final = (*IMAGE_SUFFIXES, ".npy", ".npz")

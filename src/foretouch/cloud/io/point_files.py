@@ -22,9 +22,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 
+from foretouch.base.files import read_bytes
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.errors import FileError, shown
-from foretouch.files import read_bytes
 from foretouch.types import AnyArray, Cloud, UInt8
 
 SIZE_LIMIT: Final = 1_000_000_000  # of a file with a cloud [bytes]

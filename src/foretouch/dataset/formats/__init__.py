@@ -19,11 +19,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
+from foretouch.base.files import require_existing, system_errors
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.doors import Door, reported
 from foretouch.errors import FileError, shown
-from foretouch.files import require_existing, system_errors
 
 
 @dataclass(frozen=True)

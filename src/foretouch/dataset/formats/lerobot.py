@@ -25,11 +25,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from foretouch.base.files import write_text
 from foretouch.dataset.recordings import reader
 from foretouch.dataset.recordings.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.errors import ConfigError, FileError
-from foretouch.files import write_text
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
 from foretouch.types import DISCARDED, SECOND_NS, AnyArray, Cloud, Float32, Index, Int64, Sample

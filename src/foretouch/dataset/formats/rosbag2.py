@@ -14,6 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import WriterError
 
+from foretouch.base.files import system_errors
 from foretouch.dataset.recordings.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.recordings.sample_codec import (
     SAMPLE_TOPIC,
@@ -24,7 +25,6 @@ from foretouch.dataset.recordings.sample_codec import (
 )
 from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError
-from foretouch.files import system_errors
 from foretouch.types import Cloud
 
 _CLOUD_TOPIC: Final = "/foretouch/points"

@@ -19,11 +19,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from foretouch.base.files import read_bytes, write_text
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.identity import Identity, check_id
 from foretouch.dataset.samples import ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, FileError, GraspError
-from foretouch.files import read_bytes, write_text
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.tactile import BIOTAC, ELECTRODES, biotac_touch
 from foretouch.tactile.description import require_same

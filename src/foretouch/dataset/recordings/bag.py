@@ -21,6 +21,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
+from foretouch.base.files import open_regular, require_existing
 from foretouch.cloud.io.colours import COLOUR_ENCODINGS, ColourImages, colours_of
 from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, decode_depth, info_topic
@@ -29,7 +30,6 @@ from foretouch.config import load_yaml
 from foretouch.dataset.recordings.bag_colours import with_colours
 from foretouch.dataset.recordings.bag_files import PACKED, McapFile, known_failures, open_storage, plain
 from foretouch.errors import CloudError, FileError, ForetouchError, none_of
-from foretouch.files import open_regular, require_existing
 from foretouch.types import Cloud, UInt8, stamp_ns
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
+from foretouch.base.files import open_own, open_regular
 from foretouch.dataset.recordings.mcap import Damage, McapReader
 from foretouch.errors import FileError
-from foretouch.files import open_own, open_regular
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection

@@ -9,12 +9,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from foretouch.base.files import lock
 from foretouch.dataset.identity import check_name, renamed_id
 from foretouch.dataset.recordings.edits import Edit, append_edit, read_edits
 from foretouch.dataset.recordings.folder import is_dataset
 from foretouch.dataset.recordings.reader import RecordedDataset
 from foretouch.errors import DatasetError, FileError
-from foretouch.files import lock
 
 
 def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:

@@ -18,12 +18,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
+from foretouch.base.files import COUNT, TEXT_LIMIT, open_own, parse_json, read_bytes, require_schema, system_errors
 from foretouch.dataset.files import require_version, sync_folder
 from foretouch.dataset.identity import check_name, renamed_id
 from foretouch.dataset.recordings import folder
 from foretouch.dataset.recordings.folder import restate, stated
 from foretouch.errors import DatasetError, FileError
-from foretouch.files import COUNT, TEXT_LIMIT, open_own, parse_json, read_bytes, require_schema, system_errors
 from foretouch.types import DISCARDED, OUTCOMES, Outcome, Sample
 
 EDITS: Final = "edits.jsonl"

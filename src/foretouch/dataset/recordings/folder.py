@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
+from foretouch.base.files import LOCK, PART, lock, open_regular, replace_files, require_schema, system_errors
 from foretouch.dataset.files import read_manifest, sealed, sync_folder
 from foretouch.dataset.identity import Identity
 from foretouch.dataset.recordings.sample_codec import OLD_VERSION, READ_VERSIONS, SCHEMA_VERSION
 from foretouch.errors import FileError
-from foretouch.files import LOCK, PART, lock, open_regular, replace_files, require_schema, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in, with_sensor
 

@@ -35,8 +35,8 @@ from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema,
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from foretouch import __version__
+from foretouch.base.files import FileBytes, system_errors
 from foretouch.errors import DatasetError, FileError, described
-from foretouch.files import FileBytes, system_errors
 
 LIBRARY: Final = f"foretouch {__version__}"
 MAGIC: Final[bytes] = MCAP0_MAGIC

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from foretouch.base.files import open_regular
 from foretouch.dataset.identity import Identity
 from foretouch.dataset.recordings.edits import EditLog, read_edits
 from foretouch.dataset.recordings.folder import (
@@ -23,7 +24,6 @@ from foretouch.dataset.recordings.records import MessageCounts, RecordingFile, T
 from foretouch.dataset.recordings.sample_codec import ABOUT, SAMPLE_TOPIC, SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError, FileError, VersionError
-from foretouch.files import open_regular
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Sample

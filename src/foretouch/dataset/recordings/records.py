@@ -16,11 +16,11 @@ from typing import Any, Final, Self
 
 from mcap.records import Metadata
 
+from foretouch.base.files import COUNT, parse_json, require_schema
 from foretouch.dataset.recordings.folder import is_dataset
 from foretouch.dataset.recordings.mcap import McapReader
 from foretouch.dataset.recordings.sample_codec import ABOUT, COUNTS
 from foretouch.errors import DatasetError, FileError
-from foretouch.files import COUNT, parse_json, require_schema
 
 
 class RecordingFile(McapReader):

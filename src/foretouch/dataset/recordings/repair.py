@@ -20,6 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Message, Metadata
 from mcap.writer import CompressionType
 
+from foretouch.base.files import free_name, lock, system_errors
 from foretouch.dataset.files import sync_folder
 from foretouch.dataset.recordings import folder
 from foretouch.dataset.recordings.edits import EDITS, read_edits
@@ -37,7 +38,6 @@ from foretouch.dataset.recordings.sample_codec import (
 )
 from foretouch.dataset.recordings.verify import verify_file
 from foretouch.errors import FileError, VersionError, described
-from foretouch.files import free_name, lock, system_errors
 
 _CHUNK_BYTES: Final = 4_000_000
 

@@ -28,12 +28,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from foretouch import __version__
+from foretouch.base.files import TEXT_LIMIT, parse_json, read_bytes
 from foretouch.cloud.messages import cloud_fields, decode_cloud, header_fields
 from foretouch.dataset.files import require_version
 from foretouch.dataset.identity import Identity, check_id
 from foretouch.dataset.recordings.bag import POINT_CLOUD_TYPE, types_in
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described, shown
-from foretouch.files import TEXT_LIMIT, parse_json, read_bytes
 from foretouch.grasp.messages import decode_grasp, encode_grasp
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable

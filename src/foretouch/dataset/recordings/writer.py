@@ -35,6 +35,7 @@ from uuid import uuid4
 from mcap.records import Message
 
 from foretouch import __version__
+from foretouch.base.files import PART, system_errors
 from foretouch.config import Settings, setting
 from foretouch.dataset.identity import Identity, check_name, id_number, numbered_id
 from foretouch.dataset.recordings.edits import Edit, append_edit
@@ -52,7 +53,6 @@ from foretouch.dataset.recordings.sample_codec import (
     sample_types,
 )
 from foretouch.errors import DatasetError, FileError, ForetouchError
-from foretouch.files import PART, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Sample

@@ -18,9 +18,9 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Final
 
+from foretouch.base.interrupts import uninterrupted
+from foretouch.base.processes import ONE_THREAD
 from foretouch.errors import ConfigError
-from foretouch.interrupts import uninterrupted
-from foretouch.processes import ONE_THREAD
 
 SHARED_MEMORY_PROFILE = Path(__file__).with_name("fastdds_shared_memory.xml")
 """Fast DDS with a 64 MB segment: with the default of 0.5 MB most clouds between processes are lost."""

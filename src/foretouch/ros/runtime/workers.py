@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from foretouch.bounded_queue import BoundedQueue
+from foretouch.base.bounded_queue import BoundedQueue
 
 _T = TypeVar("_T")
 

@@ -17,11 +17,11 @@ import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch import __version__
+from foretouch.base.files import open_own, system_errors
 from foretouch.cloud.io.depth_messages import CameraInfos
 from foretouch.cloud.messages import decode_cloud, decode_objects, decode_plane, read_header
 from foretouch.dataset.labelling.sensors import ALIVE, NO_DATA, SensorHealth
 from foretouch.errors import ForetouchError
-from foretouch.files import open_own, system_errors
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.runtime.subscription import SerializedMessage
 from foretouch.ros.sessions.subscriptions import MessageQueue, RecorderInputs

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
-from foretouch.bounded_queue import BoundedQueue
+from foretouch.base.bounded_queue import BoundedQueue
 from foretouch.cloud.io.depth_messages import info_topic
 from foretouch.dataset.labelling.assembler import Role
 from foretouch.dataset.recordings.records import TopicCounts

@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
+from foretouch.base.files import TEXT_LIMIT, read_bytes, read_json, require_schema, system_errors, write_text
 from foretouch.config import flattened
 from foretouch.errors import ConfigError, FileError
-from foretouch.files import TEXT_LIMIT, read_bytes, read_json, require_schema, system_errors, write_text
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch_lab.experiments.framework.timing import cpu_name
 

@@ -15,10 +15,10 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+from foretouch.base.files import system_errors
+from foretouch.base.processes import one_thread_each, process_pool
 from foretouch.config import Settings
 from foretouch.errors import ConfigError, DatasetError, FileError
-from foretouch.files import system_errors
-from foretouch.processes import one_thread_each, process_pool
 from foretouch_lab.experiments.framework import manifest as manifests
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
 from foretouch_lab.ray_cluster import DIED, outcome, ray_results

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.files import read_bytes
+from foretouch.base.files import read_bytes
 
 
 class MachineLoad:

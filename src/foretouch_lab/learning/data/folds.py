@@ -20,8 +20,8 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.base.processes import process_pool
 from foretouch.errors import DatasetError, none_of
-from foretouch.processes import process_pool
 from foretouch.types import Float64, Index, Sample
 from foretouch_lab.dataset.store_writer import SampleFacts
 

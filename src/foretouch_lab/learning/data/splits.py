@@ -18,8 +18,8 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from foretouch.base.files import TEXT_LIMIT, json_in, read_bytes, require_schema
 from foretouch.errors import DatasetError, FileError, shown
-from foretouch.files import TEXT_LIMIT, json_in, read_bytes, require_schema
 from foretouch_lab.dataset.store_writer import SampleFacts
 from foretouch_lab.learning.data.folds import FOLDS, Indices, group_folds, make_folds
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from foretouch.base.files import open_regular, system_errors
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, DatasetError, ModelError
-from foretouch.files import open_regular, system_errors
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import (
     SAMPLER_SEED,

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
+from foretouch.base.files import write_text
 from foretouch.errors import ConfigError, DatasetError, FileError, ModelError
-from foretouch.files import write_text
 from foretouch.models.card import card_text, read_card
 from foretouch.models.registry import load_model
 from foretouch.tactile.description import named_taxels, with_sensor

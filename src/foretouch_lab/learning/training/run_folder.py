@@ -22,9 +22,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
+from foretouch.base.files import parse_json, read_bytes, replace_files, write_text
 from foretouch.config import dump_yaml, flattened, load_yaml
 from foretouch.errors import ConfigError, FileError, ModelError, shown
-from foretouch.files import parse_json, read_bytes, replace_files, write_text
 from foretouch_lab.learning.training.trainer import Trainer
 
 CONFIG_FILE: Final = "config.yaml"

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.base.files import read_bytes
 from foretouch.errors import FileError, described
-from foretouch.files import read_bytes
 from foretouch.types import Float64, Int64
 
 _SUFFIXES: Final = (".obj", ".ply", ".stl", ".glb")

@@ -5,7 +5,7 @@ import threading
 import time
 from collections import Counter
 
-from foretouch.bounded_queue import BoundedQueue
+from foretouch.base.bounded_queue import BoundedQueue
 
 
 def test_a_full_queue_drops_its_oldest_items_or_rejects_new_ones_and_one_without_a_capacity_none() -> None:

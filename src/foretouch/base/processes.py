@@ -13,7 +13,7 @@ from multiprocessing import active_children, get_context, resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any, Final
 
-from foretouch.interrupts import uninterrupted
+from foretouch.base.interrupts import uninterrupted
 
 ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment variables of such a process; they are read when NumPy is imported."""

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from command_answer import run_python
 
-from foretouch.processes import ONE_THREAD, one_thread_each
+from foretouch.base.processes import ONE_THREAD, one_thread_each
 
 STOPPED_WHILE_SENDING = """
 import threading, time
-from foretouch.processes import process_pool
+from foretouch.base.processes import process_pool
 
 reading, read = threading.Event(), threading.Event()
 

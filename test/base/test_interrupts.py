@@ -14,10 +14,10 @@ from every_case import every_case
 
 from foretouch.cli import main
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 CODE = """
 import os, signal, sys, time
-from foretouch.interrupts import raise_interrupts, uninterrupted, end_at_once, signal_number
+from foretouch.base.interrupts import raise_interrupts, uninterrupted, end_at_once, signal_number
 raise_interrupts()
 def send(count=1, number=signal.SIGINT):
     for _ in range(count):

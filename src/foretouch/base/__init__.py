@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What knows nothing of robots: checked files, worker processes, signals, and a queue between threads."""
