@@ -23,7 +23,7 @@ from benchmarks.clutter.bench import made
 from benchmarks.clutter.metrics import FOUND, f_of_best
 from benchmarks.clutter.scenes import LabelledCloud, load_scenes
 from benchmarks.common import add_data, markdown, print_rows, replace_marked
-from foretouch.cloud.segmentation import confidence, objects
+from foretouch.cloud.segmentation import objects
 from foretouch.cloud.segmentation.clusters import Clusters
 from foretouch.cloud.segmentation.objects import TargetConfig, select_targets
 from foretouch.cloud.segmentation.segment import segment
@@ -31,6 +31,7 @@ from foretouch.types import Bool, Float64
 from foretouch.types.scene import Object
 
 HERE: Final = Path(__file__).parent
+_CONFIDENCE: Final = objects.confidence  # which a `Recorder` replaces
 _IMAGES: Final = "images"  # the set whose images have sources of their own
 _WEIGHT: Final = {_IMAGES: 6.0, "OSD": 2.0}  # of a segment: images of others are few, and what counts
 _BINS: Final = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
@@ -67,8 +68,8 @@ class Recorder:
 
     def __call__(self, window: Clusters, label: int, n_points: int) -> float | None:
         """Return the confidence of a segment, and keep what it comes from."""
-        self._inputs.append(confidence.inputs(window, label, n_points) or [math.nan] * len(confidence.INPUTS))
-        return confidence.confidence(window, label, n_points)
+        self._inputs.append(objects.inputs(window, label, n_points) or [math.nan] * len(objects.INPUTS))
+        return _CONFIDENCE(window, label, n_points)
 
     def segments(self, name: str, scene: LabelledCloud) -> Segments:
         """Segment a scene, and compare its segments with the labels."""
@@ -161,7 +162,7 @@ def reliability(answers: Sequence[Answer]) -> list[dict[str, Any]]:
 
 def write(scenes: Sequence[Segments], table: Sequence[dict[str, Any]]) -> None:
     """Write the weights, fitted to all scenes, with the figures of the sources left out."""
-    weights = dict(zip((*confidence.INPUTS, "constant"), fit(scenes).round(4).tolist(), strict=True))
+    weights = dict(zip((*objects.INPUTS, "constant"), fit(scenes).round(4).tolist(), strict=True))
     record = {
         "what": "log odds that a segment is one whole object: the sum of weights times inputs, and a constant",
         "made_by": "python -m benchmarks.clutter.confidence --write",
@@ -170,7 +171,7 @@ def write(scenes: Sequence[Segments], table: Sequence[dict[str, Any]]) -> None:
         "left_out": [dict(row) for row in table],
         "weights": weights,
     }  # fmt: skip
-    confidence.WEIGHTS.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    objects.WEIGHTS.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 def main() -> None:
