@@ -139,7 +139,7 @@ def _entry_points(folders: tuple[str, ...]) -> Mapping[str, Mapping[str, EntryPo
     groups: defaultdict[str, dict[str, EntryPoint]] = defaultdict(dict)
     seen = set[str]()
     for folder in folders:
-        for info in sorted(chain.from_iterable(Path(folder).glob(f"*.{kind}-info") for kind in ("dist", "egg"))):
+        for info in chain.from_iterable(Path(folder).glob(f"*.{kind}-info") for kind in ("dist", "egg")):
             package = info.stem.partition("-")[0]
             if package not in seen:
                 seen.add(package)
