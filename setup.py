@@ -68,6 +68,7 @@ setup(
                 "config",
                 "config/hands",
                 "config/models",
+                "config/presets",
                 "config/scenes",
                 "config/sensors",
                 "config/train",

@@ -9,7 +9,10 @@ bit-equal output wherever it is run.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +23,7 @@ from foretouch.cloud.segmentation.masks import segment_mask
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_free, select_targets
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.cloud.timing import timed
-from foretouch.config import Settings, flattened, setting
+from foretouch.config import Settings, description_file, flattened, load_yaml, setting
 from foretouch.errors import CloudError, ConfigError, require_type, shown
 from foretouch.grasp import CarriedConfig, GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, plan_grasps, with_rotations
 from foretouch.grasp.reach import ReachConfig, check_reach
@@ -32,10 +35,49 @@ from foretouch.types.cloud import require_cloud
 from foretouch.types.scene import Object, Obstacles, Scene
 from foretouch.types.summary import Summarised
 
+PRESET: Final = "preset"
+"""Key that stands for the settings of a preset."""
+PRESET_WORDS: Final = "Settings of all steps together: fast, default, exact, or a YAML file; what is set besides counts"
+
+
+@cache
+def preset_files() -> dict[str, Path]:
+    """Return the presets that come with the package, by name."""
+    folder = Path(str(resources.files("foretouch"))) / "presets"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def preset_settings(name: str) -> dict[str, Any]:
+    """Return the settings of a preset by dotted name.
+
+    Args:
+        name: Of a preset of the package, or a YAML file of settings of the pipeline.
+
+    Raises:
+        ConfigError: If there is none, or it breaks a rule; names file, setting and rule.
+    """
+    try:
+        file = description_file(name, preset_files())
+    except ConfigError as err:
+        raise ConfigError(f"{PRESET}: {err}") from err
+    stated = flattened(load_yaml(file))
+    if PRESET in stated:
+        raise ConfigError(f"{shown(file)}: {PRESET}: a preset holds no other one")
+    PipelineConfig.from_mapping(stated, str(file))
+    return stated
+
+
+def _with_preset(changes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return settings with those of the preset that they name in its place, which count less."""
+    if not isinstance(changes, Mapping) or PRESET not in changes:
+        return changes
+    others = {name: value for name, value in changes.items() if name != PRESET}
+    return preset_settings(changes[PRESET]) | flattened(others)
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PipelineConfig(Summarised, Settings):
-    """Settings of the pipeline, one group for each step."""
+    """Settings of the pipeline, one group for each step; `updated({"preset": "fast"})` changes those of a preset."""
 
     segmentation: SegmentationConfig = SegmentationConfig()
     target: TargetConfig = TargetConfig()
@@ -46,6 +88,15 @@ class PipelineConfig(Summarised, Settings):
     reach: ReachConfig = ReachConfig()
     model: str = setting("default", MODEL_WORDS, read_only=True)
     predictor: str = setting("", PREDICTOR_WORDS, read_only=True)
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
+        """Make settings from plain data, which may name a preset, as `Settings.from_mapping` does."""
+        return super().from_mapping(_with_preset(mapping), source)
+
+    def updated(self, changes: Mapping[str, Any], source: str = "") -> Self:
+        """Return a copy with some settings changed, or those of a preset, as `Settings.updated` does."""
+        return super().updated(_with_preset(changes), source)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         defaults = flattened(type(self)().to_mapping())

@@ -77,7 +77,11 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--topic": {"help": "topic of point clouds or depth images of a recording (default: its only one)"},
     "--config": {"metavar": "YAML", "help": "file with settings of the pipeline"},
-    "--set": {"metavar": "KEY=VALUE", **_REPEATED, "help": "change one setting of the pipeline"},
+    "--set": {
+        "metavar": "KEY=VALUE",
+        **_REPEATED,
+        "help": "change one setting of the pipeline; preset=fast or exact changes several (docs/accuracy_vs_time.md)",
+    },
     "--plane": {
         "type": numbers,
         "metavar": "a,b,c,d",

@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.config import Settings, setting, setting_infos
 from foretouch.errors import ConfigError
+from foretouch.ros.nodes.perception import PerceptionConfig
 from foretouch.ros.runtime.parameters import NodeSettings
 
 
@@ -122,3 +123,19 @@ def test_an_invalid_change_is_refused_and_changes_nothing_and_an_invalid_value_a
             NodeSettings(node, Outer)
         node.destroy_node()
         assert "\n" not in str(caught.value)
+
+
+def test_a_preset_gives_other_defaults_and_what_is_set_besides_counts():
+    overrides = [Parameter("preset", value="fast"), Parameter("grasp.max_points", value=77)]
+    node = Node("starter", parameter_overrides=overrides)
+    config = NodeSettings(node, PerceptionConfig).value
+    assert (config.preset, config.grasp.max_points, config.segmentation.grid_rows) == ("fast", 77, 60)
+    assert node.describe_parameter("preset").read_only
+    node.destroy_node()
+    node = Node("starter", parameter_overrides=[Parameter("preset", value="slow")])
+    with pytest.raises(ConfigError, match="preset: slow: is neither a file nor one of"):
+        NodeSettings(node, PerceptionConfig)
+    node.destroy_node()
+    node = Node("starter", parameter_overrides=[Parameter("preset", value="default")])
+    assert NodeSettings(node, PerceptionConfig).value == PerceptionConfig()
+    node.destroy_node()

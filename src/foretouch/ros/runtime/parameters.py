@@ -7,6 +7,7 @@ as a whole, with the reason.
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Final, Generic, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType, SetParametersResult
@@ -17,6 +18,7 @@ from rclpy.parameter import Parameter
 
 from foretouch.config import SettingInfo, Settings, setting_infos
 from foretouch.errors import ConfigError, nearest, shown
+from foretouch.pipeline import PRESET, preset_settings
 
 _S = TypeVar("_S", bound=Settings)
 _NOTHING: Final = ("null", "None")
@@ -27,7 +29,7 @@ _LIMITS: dict[type, Any] = {int: 2**63 - 1, float: sys.float_info.max}
 class NodeSettings(Generic[_S]):
     """The parameters of a node, one for each setting of `cls`, as one frozen `Settings`, `value`.
 
-    Nested settings have dotted names.
+    Nested settings have dotted names. A preset gives other defaults.
 
     Args:
         node: Declares the parameters.
@@ -41,9 +43,15 @@ class NodeSettings(Generic[_S]):
     def __init__(self, node: Node, cls: type[_S], on_change: Callable[[_S], None] = lambda _: None) -> None:
         self._cls = cls
         self._on_change = on_change
-        self._infos = {info.name: info for info in setting_infos(cls)}
-        self._floats = {info.name for info in setting_infos(cls) if info.type is float and not info.is_list}
-        self.value: _S = cls.from_mapping({info.name: _declare(node, info) for info in setting_infos(cls)})
+        infos = setting_infos(cls)
+        self._infos = {info.name: info for info in infos}
+        self._floats = {info.name for info in infos if info.type is float and not info.is_list}
+        given = {PRESET: _declare(node, self._infos[PRESET])} if PRESET in self._infos else {}
+        defaults = preset_settings(given[PRESET]) if given else {}
+        for info in infos:
+            if info.name not in given:
+                given[info.name] = _declare(node, replace(info, default=defaults.get(info.name, info.default)))
+        self.value: _S = cls.from_mapping(given)
         node.add_pre_set_parameters_callback(self._as_declared)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)

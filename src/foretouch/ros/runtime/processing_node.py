@@ -16,6 +16,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from foretouch.config import setting
+from foretouch.pipeline import PRESET_WORDS
 from foretouch.ros.messages.requests import RefusalError, status_name
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
@@ -40,6 +41,7 @@ class Input(NamedTuple):
 class ProcessingConfig(NodeConfig):
     """Settings of every node that answers clouds."""
 
+    preset: str = setting("default", PRESET_WORDS, read_only=True)
     silence_s: float = setting(5.0, "Longest time without an input before a warning", bounds=(0.1, 1e6))
 
 
