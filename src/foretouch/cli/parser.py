@@ -11,7 +11,7 @@ from typing import Any, Final
 from foretouch.errors import ForetouchError, nearest, none_of
 
 _GROUPS: Final = {
-    "what is read": "topic intrinsics camera_info info_topic rectified depth_scale color mask target pixel point plane scene hand grasp data source dwell rate loop restamp resume "
+    "what is read": "topic intrinsics camera_info info_topic rectified depth_scale color mask target pixel point plane scene hand grasp data here source dwell rate loop restamp resume "
     "sensor thumb middle check assume_grasps object objects",
     "model and adaptation": "model predictor tare touched history prequential tip_mm slide_m vary",
     "settings": "config set params namespace count seconds samples seed workers preset address explain wait_for "

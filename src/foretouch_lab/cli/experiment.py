@@ -80,6 +80,15 @@ def print_list(title: str, experiments: Mapping[str, Experiment], *, as_json: bo
     return 0
 
 
+def data_source(experiment: Experiment, arguments: argparse.Namespace) -> Path | None:
+    """Return --data, or the experiment's folder in `FORETOUCH_DATA`; None without either."""
+    folder = os.environ.get(ENVIRONMENT)
+    if arguments.data is None and folder and experiment.data_folder is not None:
+        return Path(folder) / experiment.data_folder
+    given: Path | None = arguments.data
+    return given
+
+
 def run_experiment(experiment: Experiment, arguments: argparse.Namespace) -> int:
     """Run, resume or redraw an experiment; the exit status is 1 if a cell failed."""
     if arguments.out is None:
@@ -87,9 +96,7 @@ def run_experiment(experiment: Experiment, arguments: argparse.Namespace) -> int
     if arguments.redraw:
         return _redraw(experiment, arguments)
     settings = experiment.resolve(arguments.preset, parse_overrides(arguments.overrides))
-    source, folder = arguments.data, os.environ.get(ENVIRONMENT)
-    if source is None and folder and experiment.data_folder is not None:
-        source = Path(folder) / experiment.data_folder
+    source = data_source(experiment, arguments)
     with progress_bar("reading the data", hidden=arguments.json) as update:
         sweep = Sweep(
             experiment, settings, arguments.out, preset=arguments.preset, source=source, resume=arguments.resume

@@ -33,7 +33,7 @@ from foretouch_lab.learning.training.tracker import fit_tracker
 SHIPPED: Final = "contact-v3"
 _PAPERS: Final = "papers' four networks"
 _MEAN, _OBJECT = "mean of labels", "mean of the object"
-_READINGS: Final = " + readings"
+READINGS: Final = " + readings"
 _SPLITS: Final = {"time": "blocks of time", "object": "objects left out"}
 PAUSE_S: Final = 0.02  # asleep before each call, as between the clouds of a camera
 _BUDGET_MS: Final = 10.0  # of the answer
@@ -41,11 +41,11 @@ _REQUESTS: Final = (1, 10, 100, 1000)  # grasps on a cloud
 VARIANTS: Final = (
     Variant(_MEAN, "part"),
     Variant(_OBJECT, "part"),
-    Variant(_MEAN + _READINGS, "readings"),
+    Variant(_MEAN + READINGS, "readings"),
     *(Variant(f"{count} trees", "trees", {"trees": count}) for count in (5, 10, 20)),
     Variant("no surroundings", "part", {"part": True}),
     Variant(SHIPPED, "shipped"),
-    Variant(SHIPPED + _READINGS, "readings"),
+    Variant(SHIPPED + READINGS, "readings"),
     Variant(_PAPERS, "reference"),
 )
 """In the order of the table of models."""
@@ -60,7 +60,7 @@ def described(data: Dataset) -> tuple[ContactPredictor, dict[str, int]]:
     return predictor, {sample.id: k for k, sample in enumerate(samples)}
 
 
-class _MeanPredictor:
+class MeanPredictor:
     """Predicts the mean of the training labels of a model for every grasp, and looks at no cloud."""
 
     def __init__(self, model: TouchModel) -> None:
@@ -131,14 +131,14 @@ def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[t
         tracker = SensorTracker(fit_tracker(recording.take(learned), group, group))
         counts = np.empty_like(expected)
         counts[order] = replay(tracker, recording.take(order)).counts
-        yield name + _READINGS, counts[fold.test]
+        yield name + READINGS, counts[fold.test]
 
 
 def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed:
     """Return what predicts the touch of K grasps on a cloud of median size, (K, 50) counts."""
     sample, grasps = _scene(data, max(settings.requests))
     shipped = load_model(SHIPPED)
-    name, _, readings = variant.name.partition(_READINGS[:2])
+    name, _, readings = variant.name.partition(READINGS[:2])
     if variant.name == _PAPERS:
         return _papers(sample.cloud, grasps), 1.0
     if variant.name in (_MEAN, _OBJECT):
@@ -147,7 +147,7 @@ def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed
         return lambda count: np.tile(mean, (count, 1)), 1.0
     if readings:
         if name == _MEAN:
-            shipped = TouchModel(_MeanPredictor(shipped), shipped.card, shipped.calibration)
+            shipped = TouchModel(MeanPredictor(shipped), shipped.card, shipped.calibration)
         return _after_reading(shipped, sample, grasps), 1.0
     estimator = _reduced(cast("ContactEstimator", shipped.predictor), variant.values)
     return lambda count: estimator.estimate(sample.cloud, grasps[:count], sample.table).counts, 1.0
@@ -227,6 +227,7 @@ EXPERIMENT = make_area(
     question="How good a prediction of touch can I have in 10 ms?",
     module=__name__,
     presets={
+        "smoke": {"skills": ["object"], "timing_s": 2.0, "requests": (1, 100)},
         "small": {"timing_s": 45.0, "pause_s": PAUSE_S, "requests": _REQUESTS},
         "full": {"timing_s": 420.0, "pause_s": PAUSE_S, "requests": _REQUESTS},
     },

@@ -178,7 +178,11 @@ EXPERIMENT = make_area(
     question="How exact must the simulator be, and what does a sample cost?",
     module=__name__,
     settings=SimulationSettings,
-    presets={"small": {"compared": 16, "train": 60, "trees": 10, "timing_s": 25.0}, "full": {"timing_s": 120.0}},
+    presets={
+        "smoke": {"skills": [f"digits_{RIGID}"], "compared": 2, "train": 10, "trees": 2, "timing_s": 2.0},
+        "small": {"compared": 16, "train": 60, "trees": 10, "timing_s": 25.0},
+        "full": {"timing_s": 120.0},
+    },
     prepare=_prepare,
     load=_load,
     variants=VARIANTS,

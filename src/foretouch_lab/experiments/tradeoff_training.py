@@ -148,7 +148,11 @@ EXPERIMENT = make_area(
     question="What does one more hour buy, of the robot that grasps or of the computer that trains?",
     module=__name__,
     settings=TrainingSettings,
-    presets={"small": {"skills": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
+    presets={
+        "smoke": {"skills": ["known"], "trees": 2, "timing_s": 2.0},
+        "small": {"skills": ["known"], "timing_s": 20.0},
+        "full": {"timing_s": 120.0},
+    },
     data_folder="vision2tactile",
     variants=VARIANTS,
     timed=_timed,

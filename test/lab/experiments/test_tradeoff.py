@@ -13,14 +13,24 @@ from contact_model_builders import FEW_TREES
 from every_case import every_case
 from experiment_samples import make_collection, make_samples
 
+from foretouch.camera.device import ensure_libusb
 from foretouch.cli.main import main
 from foretouch.errors import ConfigError
-from foretouch.pipeline import Pipeline
-from foretouch_lab.experiments import tradeoff_model, tradeoff_perception, tradeoff_simulation, tradeoff_training
+from foretouch.pipeline import PipelineConfig
+from foretouch_lab.experiments import (
+    tradeoff_chain,
+    tradeoff_grasp,
+    tradeoff_model,
+    tradeoff_scene,
+    tradeoff_simulation,
+    tradeoff_training,
+)
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.manifest import read_results
 from foretouch_lab.experiments.framework.tradeoff import Area, Panel, TradeoffSettings, find_area, frontier, list_areas
 from foretouch_lab.experiments.shared.scores import skill_rows
+from foretouch_lab.experiments.shared.touched_scenes import HARD, SceneSettings, TouchedScenes, overlap
+from foretouch_lab.experiments.tradeoff_grasp import FoundObjects
 from foretouch_lab.experiments.tradeoff_model import fewer_trees
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
@@ -70,6 +80,12 @@ EXPERIMENT = make_area(
     panels=(Panel("skill", 1, "One number"),),
 )
 """
+
+
+@pytest.fixture(scope="module")
+def scenes_of_each_kind() -> tuple[TouchedScenes, TouchedScenes]:
+    """Two images whose objects are apart, and two whose objects touch."""
+    return TouchedScenes.render(2), TouchedScenes.render(2, HARD)
 
 
 @pytest.fixture
@@ -125,7 +141,8 @@ def test_an_area_gives_table_and_picture_and_is_timed_again_with_its_skills(lab:
 
 def test_areas_of_the_package_and_their_committed_tables(capsys: pytest.CaptureFixture[str]) -> None:
     areas = list_areas()
-    assert [one.area for one in areas] == ["model", "perception", "simulation", "training"]
+    assert [one.area for one in areas] == ["chain", "grasp", "model", "scene", "simulation", "training"]
+    assert (find_area("touch").area, find_area("perception").area) == ("model", "scene")
 
     def check(area: Area) -> None:
         assert find_area(area.area) is area
@@ -140,10 +157,10 @@ def test_areas_of_the_package_and_their_committed_tables(capsys: pytest.CaptureF
             assert all(note in summary for note in table.notes)
 
     every_case({one.area: one for one in areas}, check)
-    with pytest.raises(ConfigError, match=r"'nothing' is not one of model, perception"):
+    with pytest.raises(ConfigError, match=r"'nothing' is not one of chain, grasp, model"):
         find_area("nothing")
     assert main(["tradeoff", "list", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[0])["name"] == "model"
+    assert json.loads(capsys.readouterr().out.splitlines()[0])["name"] == "chain"
 
 
 def test_the_frontier_holds_what_nothing_beats_and_of_equals_of_the_best_the_fastest() -> None:
@@ -186,24 +203,71 @@ def test_models_are_measured_on_each_split_and_timed() -> None:
     assert not np.array_equal(made["contact-v3 + readings"](1), made["contact-v3"](1))
 
 
-def test_a_coarser_grid_loses_masks_and_both_steps_are_timed() -> None:
+def test_the_objects_of_a_scene_are_found_and_measured_with_their_masks(monkeypatch, scenes_of_each_kind) -> None:
     truth = np.array([[2, 2, 2, 2, 0, 3, 3, 0]], np.int32)
     labels = np.array([[1, 1, 1, 2, 0, 3, 3, 3]], np.int32)
-    assert tradeoff_perception.overlaps(labels, truth) == [3 / 4, 2 / 3]
-    area, settings = tradeoff_perception.EXPERIMENT, tradeoff_perception.PerceptionSettings(scenes=2)
-    data = area.load(settings, Path("no recordings"))
-    found = {row["variant"]: row for cell in area.cells(settings, data) for row in area.run(cell, settings, data)}
-    assert found.keys() == {variant.name for variant in area.variants}
-    shipped = found["segmentation as shipped"]
-    assert found["grid rows 60"]["iou"] < shipped["iou"]
-    assert shipped["iou_low"] <= shipped["iou"] <= shipped["iou_high"]
-    assert found["GeoGrasp as shipped"]["score"] > found["max points 500"]["score"]
-    original = Pipeline().config.updated({"grasp.method": "original", "target.mode": "all"})
-    for variant in area.variants:
-        assert (tradeoff_perception._pipeline(variant).config == original) == (not variant.values["changes"])
-    for variant in area.variants[:2]:
-        answer, _ = area.timed(variant, settings, data)
-        assert answer(1) is not answer(1)
+    assert [overlap(labels, truth == label) for label in (2, 3, 4)] == [3 / 4, 2 / 3, 0.0]
+    area, settings, (_, hard) = tradeoff_scene.EXPERIMENT, SceneSettings(bootstrap=QUICK), scenes_of_each_kind
+    fewer = tuple(one for one in area.variants if one.name in ("default", "grid rows 60", "angle deg 180"))
+    monkeypatch.setattr(tradeoff_scene, "VARIANTS", fewer)
+    found = {skill: tradeoff_scene._accuracy(skill, settings, hard) for skill in ("found", "iou")}
+    assert found["iou"].keys() == {one.name for one in fewer}
+    assert found["iou"]["default"]["iou"] > found["iou"]["angle deg 180"]["iou"] > 0.3
+    assert found["found"]["default"]["found_low"] <= found["found"]["default"]["found"] <= 1.0
+    answer, _ = area.timed(fewer[0], settings, hard)
+    assert answer(1).shape == (480, 640)
+    assert {key: value for one in area.variants for key, value in one.values.items() if key == "grasp"} == {}
+
+
+def test_open3d_finds_objects_that_stand_apart(scenes_of_each_kind) -> None:
+    ensure_libusb()
+    pytest.importorskip("open3d", exc_type=ImportError)
+    easy = scenes_of_each_kind[0]
+    assert min(easy.overlaps(0, tradeoff_scene.open3d_labels(easy.cloud(0)))) > 0.3
+
+
+def test_a_grasp_that_holds_is_read_and_one_beside_the_object_is_not(monkeypatch, scenes_of_each_kind) -> None:
+    area, settings, easy = tradeoff_grasp.EXPERIMENT, SceneSettings(bootstrap=QUICK), scenes_of_each_kind[0]
+    data = FoundObjects(easy.scene, easy.depths, easy.labels, easy.slots)
+    assert [number for number, _ in data.targets] == [0, 1]
+    number, target = data.targets[0]
+    grasp = data.pipeline({}).plan(target).grasps[0]
+    touch, tare = data.read(number, grasp)
+    assert np.abs(touch.values - tare.values).max() > 50.0
+    assert data.read(number, replace(grasp, g1=grasp.g1 + 0.2, g2=grasp.g2 + 0.2)) is None
+    fewer = tuple(one for one in area.variants if one.name in ("default", "original, 8000 points"))
+    monkeypatch.setattr(tradeoff_grasp, "VARIANTS", fewer)
+    found = tradeoff_grasp._accuracy("held", settings, data)
+    assert found["default"]["held"] == 1.0
+    assert area.timed(fewer[0], settings, data)[0](1).grasps
+
+
+def test_the_chain_multiplies_what_is_found_held_and_explained(monkeypatch, scenes_of_each_kind) -> None:
+    sums = np.zeros(104)
+    sums[:4], sums[4:54], sums[54:] = (8.0, 6.0, 4.0, 2.0), 3.0, 4.0
+    assert tradeoff_chain.steps(sums).tolist() == pytest.approx([0.75, 0.5, 0.25])
+    assert tradeoff_chain.steps(np.zeros(104)).tolist() == [0.0, 0.0, 0.0]
+    area, settings = tradeoff_chain.EXPERIMENT, SceneSettings(bootstrap=QUICK)
+    data = tradeoff_chain.Images(scenes_of_each_kind)
+    shown = ("default", "320x240, grid 120, 500 points, contact + readings", "640x480, grid 120, 8000 points, mean")
+    fewer = tuple(one for one in area.variants if one.name.startswith(shown))
+    assert len(fewer) == 4
+    monkeypatch.setattr(tradeoff_chain, "VARIANTS", fewer)
+    rows = tradeoff_chain._accuracy("chain", settings, data)
+    for row in rows.values():
+        assert row["chain"] == pytest.approx(row["found"] * row["held"] * row["touch"])
+    assert rows["640x480, grid 120, 8000 points, mean"]["touch"] == 0.0
+    smaller = next(one for one in fewer if one.name.startswith("320"))
+    text = (
+        "an image of 320 columns, segmentation.grid_rows=120, grasp.max_points=500, segmentation.clusters.min_points=40"
+    )
+    assert tradeoff_chain.settings_text(smaller) == text
+    for one in fewer:
+        assert len(area.timed(one, settings, data)[0](1)) == 1  # a prediction
+    for one in area.variants:  # can be copied
+        PipelineConfig().updated(one.values["changes"])
+    default = next(one for one in area.variants if one.factor == "shipped")
+    assert PipelineConfig().updated(default.values["changes"]) == PipelineConfig()
 
 
 def test_springs_are_nearly_right_on_rigid_objects_and_effects_can_be_left_out(tmp_path: Path, monkeypatch) -> None:

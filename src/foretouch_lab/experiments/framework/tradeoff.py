@@ -11,7 +11,7 @@ from the most skilful one count as equal to it: of these, the fastest is on it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -33,7 +33,11 @@ from foretouch_lab.experiments.framework.timing import MachineLoad, cpu_name, ti
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 _PREFIX: Final = "tradeoff_"
-_TIMES: Final = ("ms_p50", "ms_p95", "ms_p99", "cpu_ms")
+_TIMES: Final = ("ms_p50", "ms_p95", "ms_p99", "cpu_ms", "cpu_ms_p95")
+_OLD: Final = {"perception": "scene", "touch": "model"}
+"""Names under which areas are found, too."""
+_YARDSTICK: Final = "yardstick"
+_YARDSTICK_TEXT: Final = "SciPy's k-d tree finds the 10 nearest of 20,000 points for 1,000 of them"
 _LOWEST: Final = 0.25  # how far below the frontier's skills the axes reach, as a share of their range
 
 
@@ -142,6 +146,9 @@ class Area(Experiment):
             "*: as shipped; •: on the frontier of this skill and the time of a request.",
             f"Measured on {machine}.",
         ]
+        if first.get("yardstick_ms"):
+            yard = f"{first['yardstick_ms']:.3g} ms of wall and {first['yardstick_cpu_ms']:.3g} ms of processor time"
+            notes.append(f"Yardstick: {_YARDSTICK_TEXT} in {yard} (medians, in turns with the calls above).")
         head = ["", *skills, *(f"{request} [ms]" for request in requests)]
         return [*self.summarise(rows), Table("Variants", head, body, notes)]
 
@@ -203,7 +210,7 @@ def find_area(name: str) -> Area:
         ConfigError: If there is none.
     """
     areas = {area.area: area for area in list_areas()}
-    chosen = find_experiment(name) if "." in name else areas.get(name)
+    chosen = find_experiment(name) if "." in name else areas.get(_OLD.get(name, name))
     if not isinstance(chosen, Area):
         raise ConfigError(f"tradeoff: {none_of(name, areas)}")
     return chosen
@@ -219,17 +226,60 @@ def _time_variants(
     with threadpool_limits(1):
         ready = {variant.name: area.timed(variant, settings, data) for variant in area.variants}
         load = MachineLoad()
-        calls = {name: call for name, (call, _) in ready.items()}
+        calls = {**{name: call for name, (call, _) in ready.items()}, _YARDSTICK: yardstick()}
         times = time_calls(calls, sizes, settings.timing_s, progress, settings.pause_s)
-    machine = {**load.row(), "cpu": cpu_name()}
+    own = 1e3 * np.median(times[_YARDSTICK, sizes[0]], axis=0)
+    machine = {**load.row(), "cpu": cpu_name(), "yardstick_ms": own[0], "yardstick_cpu_ms": own[1]}
     rows: list[tuple[Variant, Row]] = []
     for variant, request in product(area.variants, sizes):
         if (own := times.get((variant.name, request))) is not None:
-            measured = [*np.percentile(own[:, 0], (50, 95, 99)), np.median(own[:, 1])]
+            measured = [*np.percentile(own[:, 0], (50, 95, 99)), *np.percentile(own[:, 1], (50, 95))]
             values = (1e3 * ready[variant.name][1] * np.array(measured)).tolist()
             row = {"request": request, "calls": len(own), **dict(zip(_TIMES, values, strict=True))}
             rows.append((variant, {**row, **machine}))
     return rows
+
+
+def yardstick() -> Callable[[int], object]:
+    """Return a call whose time tells how fast a machine is (see `_YARDSTICK_TEXT`)."""
+    from scipy.spatial import cKDTree
+
+    points = np.random.default_rng(0).uniform(size=(20_000, 3))
+    tree = cKDTree(points)
+    return lambda _: tree.query(points[:1000], 10)
+
+
+def measure_here(
+    area: Area, settings: Any, data: Any, rows: Sequence[Row], progress: Callable[[int, int], None]
+) -> Table:
+    """Time what is on the frontier of a table, and what is shipped, on this machine.
+
+    Args:
+        area: The area.
+        settings: Of the timings.
+        data: Of the area.
+        rows: Of the table.
+        progress: Called with the number of calls done and of all.
+    """
+    wanted = {row["variant"] for panel in area.panels for row in frontier(rows, panel)}
+    chosen = [one for one in area.variants if one.name in wanted or one.factor == "shipped"]
+    here = [
+        row | {"variant": one.name}
+        for one, row in _time_variants(replace(area, variants=chosen), settings, data, progress)
+    ]
+    there = {(row["variant"], row["request"]): row for row in _best_state(rows)}
+    pairs = [(own, there[key]) for own in here if (key := (own["variant"], own["request"])) in there]
+    column = "ms_p50" if all(row["state"] == "idle" for row in (*here, *there.values())) else "cpu_ms"
+    late = "ms_p95" if column == "ms_p50" else "cpu_ms_p95"
+    body = [
+        [own["variant"], str(own["request"]), *(f"{row[name]:.3g}" for name in (column, late) for row in (other, own))]
+        for own, other in pairs
+    ]
+    scale = f"yardstick_{column.removesuffix('_p50')}"
+    text = f"The yardstick takes {here[0][scale] / next(iter(there.values()))[scale]:.2f} times as long here."
+    kind = "wall time" if column == "ms_p50" else "processor time, since a machine was loaded"
+    head = ["", "request", "p50 there [ms]", "p50 here [ms]", "p95 there [ms]", "p95 here [ms]"]
+    return Table(f"The frontier of {area.area} on this machine: {kind}", head, body, [text])
 
 
 def _best_state(rows: Sequence[Row]) -> list[Row]:
