@@ -3,7 +3,7 @@
 
 import math
 from array import array as packed
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any, Final, NamedTuple, get_args
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from foretouch.errors import GraspError, TactileError
 from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Grasps, Predictions, Reference, WayIn
-from foretouch.types.arrays import objects
+from foretouch.types.arrays import Bool, objects
 from foretouch.types.channels import LARGEST, Channel, Channels
 from foretouch.types.grasps import TILTS
 from foretouch.types.rotations import check_rotation, quaternion_xyzw
@@ -140,6 +140,61 @@ def decode_grasp(message: Any, rotation: Float64 | None = None, score: float | N
     score = float(message.score) if score is None else score
     flags = tuple(getattr(message, "flags", ()))  # which messages before 0.5 lack
     return Grasp(g1, g2, rotation, score, message.id, message.object_id, _way_of(message), flags)
+
+
+def decode_grasps(messages: Sequence[Any]) -> tuple[Grasps, Bool, list[str]]:
+    """Decode K messages of requests as `decode_grasp` does each, most of them at once.
+
+    Args:
+        messages: `foretouch_msgs/Grasp` of rclpy.
+
+    Returns:
+        K rows, NaN where one cannot be read; (K,) which have an orientation, without which that of a row has no meaning; and
+        why a grasp cannot be read, "" if it can.
+    """
+    grasps, reasons = Grasps.unknown(len(messages)), [""] * len(messages)
+    if not messages:
+        return grasps, np.empty(0, np.bool_), reasons
+    points = ((m.g1, m.g2) for m in messages)
+    contacts = np.array([(p.x, p.y, p.z, q.x, q.y, q.z) for p, q in points], np.float64)
+    turns = (m.pose.orientation for m in messages)
+    quaternions = np.array([(q.x, q.y, q.z, q.w) for q in turns], np.float64)
+    matrices = np.array([m.rotation for m in messages], np.float64).reshape(-1, 3, 3)
+    turned = matrices.any(axis=(1, 2)) | ~(quaternions[:, None] == np.array(_NO_TURN)).all(axis=2).any(axis=1)
+    matrices[~turned] = np.eye(3)
+    sure = _surely_read(contacts, quaternions, matrices, turned)
+    sure &= np.array([not m.hand for m in messages])
+    known: dict[int, Grasp] = {}
+    for k, message in enumerate(messages):
+        grasps.object_id[k] = message.object_id
+        if not sure[k]:  # a way in, or what is to be refused in words
+            try:
+                known[k] = decode_grasp(message, None if turned[k] else np.eye(3))
+            except GraspError as err:
+                reasons[k] = str(err)
+    rows = np.flatnonzero(sure).tolist()
+    own = [messages[k] for k in rows]
+    plain = Grasps(
+        *contacts[rows].reshape(-1, 2, 3).swapaxes(0, 1),
+        matrices[rows],
+        np.array([float(m.score) for m in own]),
+        objects([m.id for m in own]),
+        objects([m.object_id for m in own]),
+        flags=objects([tuple(m.flags) for m in own]),
+    )
+    return grasps.put(rows, plain).put(list(known), Grasps.of(list(known.values()))), turned, reasons
+
+
+def _surely_read(contacts: Float64, quaternions: Float64, matrices: Float64, turned: Bool) -> Bool:
+    """Return (K,) which grasps can be read beyond doubt: matrices that are rotations, and quaternions of these, if any."""
+    with np.errstate(all="ignore"):  # what is not finite is not sure
+        skewed = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        off = np.abs(np.sqrt((quaternions**2).sum(axis=1)) - 1.0)
+        apart = np.abs(_rotations(quaternions) - matrices).max(axis=(1, 2))
+        agrees = ~quaternions.any(axis=1) | ((off < 0.1 * _UNIT_TOLERANCE) & (apart < 0.5 * _AGREEMENT)) | ~turned
+        right = (skewed < 0.5 * _UNIT_TOLERANCE) & (np.linalg.det(matrices) > 0.5)
+        whole = np.isfinite(contacts).all(axis=1) & (contacts[:, :3] != contacts[:, 3:]).any(axis=1)
+    return np.asarray(whole & right & agrees, np.bool_)
 
 
 def _way_of(message: Any) -> WayIn | None:

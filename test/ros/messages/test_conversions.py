@@ -22,7 +22,13 @@ from foretouch.cli.answers import answer_record
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.cloud.messages import decode_plane
 from foretouch.errors import CloudError, GraspError, ModelError
-from foretouch.grasp.messages import decode_grasp, encode_grasp, has_orientation, rotation_from_quaternion
+from foretouch.grasp.messages import (
+    decode_grasp,
+    decode_grasps,
+    encode_grasp,
+    has_orientation,
+    rotation_from_quaternion,
+)
 from foretouch.ros.messages.conversions import (
     duration_to_msg,
     grasp_to_msg,
@@ -153,6 +159,50 @@ def test_a_grasp_that_cannot_be_used_is_refused_by_name():
     assert not has_orientation(message)
     with pytest.raises(GraspError, match="no orientation"):
         decode_grasp(message)
+
+
+def test_many_grasps_are_read_as_each_by_itself(rng):
+    def turn(message, values):
+        message.pose.orientation = Quaternion(**dict(zip("xyzw", map(float, values), strict=True)))
+
+    def scale(message, factor):
+        message.rotation = factor * np.asarray(message.rotation)
+
+    zeros, new = (0, 0, 0, 0), (0, 0, 0, 1)
+    changes = [
+        lambda _: None,
+        lambda m: setattr(m, "flags", ["may_not_fit"]),
+        lambda m: setattr(m, "rotation", np.zeros(9)),
+        lambda m: turn(m, zeros),
+        lambda m: turn(m, new),
+        lambda m: (setattr(m, "rotation", np.zeros(9)), turn(m, zeros)),
+        lambda m: (setattr(m, "rotation", np.zeros(9)), turn(m, new)),
+        *(lambda m, factor=factor: scale(m, factor) for factor in (1.0001, 1.0004, 1.01, -1.0, math.nan)),
+        lambda m: setattr(m.pose.orientation, "x", 1.0006 * m.pose.orientation.x),
+        lambda m: setattr(m.pose.orientation, "y", math.inf),
+        lambda m: setattr(m.g1, "x", math.nan),
+        lambda m: setattr(m, "g2", m.g1),
+        lambda m: setattr(m, "hand", "two_tips"),
+    ]
+    messages = []
+    for k, change in enumerate(3 * changes):
+        grasp = Grasp(*rng.normal(size=(2, 3)), Rotation.random(rng=rng).as_matrix(), 0.5 * k, f"id/{k}", str(k))
+        messages.append(grasp_to_msg(grasp))
+        change(messages[-1])
+    read, turned, reasons = decode_grasps(messages)
+    for k, message in enumerate(messages):
+        assert turned[k] == has_orientation(message)
+        rotation = None if turned[k] else np.eye(3)
+        if reasons[k]:
+            with pytest.raises(GraspError) as refusal:
+                decode_grasp(message, rotation)
+            assert (str(refusal.value), read.object_id[k], np.isnan(read.g1[k]).all()) == (reasons[k], str(k), True)
+            continue
+        alone = decode_grasp(message, rotation)
+        for name in ("g1", "g2", "rotation", "score", "id", "object_id", "flags"):
+            np.testing.assert_array_equal(getattr(read, name)[k], getattr(alone, name))
+    assert 15 < sum(map(bool, reasons)) < len(messages) - 15
+    assert len(decode_grasps([])[0]) == 0
 
 
 def test_planes_are_received_to_the_last_bit_or_refused_with_a_reason(rng):

@@ -2,6 +2,7 @@
 """The predictions of one request as messages: one for each grasp, or arrays of all."""
 
 import array
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -70,19 +71,16 @@ class TouchAnswer:
         shared, numbers = self._shared, self._numbers
         rows = {name: [array.array("f", row.tobytes()) for row in table] for name, table in numbers.items()}
         columns = self.predictions
-        made = [
-            TouchPredictionMsg(
-                header=self.header,
-                grasp=grasp,
-                status=status_code(columns.status[k]),
-                reason=columns.reason[k],
-                flags=[*columns.flags[k], *self.flags],
-                **_adapted(columns, k),
-                **shared,
-                **{name: table[k] for name, table in rows.items()},
-            )
-            for k, grasp in enumerate(self.grasps)
-        ]
+        # A copy takes half of the time of a new message, which makes its defaults first.
+        one = TouchPredictionMsg(header=self.header, **shared)
+        made = []
+        for k, grasp in enumerate(self.grasps):
+            message = copy.copy(one)
+            message.grasp, message.status, message.reason = grasp, status_code(columns.status[k]), columns.reason[k]
+            message.flags = [*columns.flags[k], *self.flags]
+            for name, value in (*_adapted(columns, k).items(), *((name, table[k]) for name, table in rows.items())):
+                setattr(message, name, value)
+            made.append(message)
         status, reason = self.summary
         return TouchPredictionArray(header=self.header, predictions=made, status=status, reason=reason)
 

@@ -14,13 +14,13 @@ from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.cloud.messages import decode_objects, decode_plane
-from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, GraspError, LimitError
+from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, LimitError
 from foretouch.grasp import Obstacles
-from foretouch.grasp.messages import STATUSES, decode_grasp, has_orientation
+from foretouch.grasp.messages import STATUSES, decode_grasps
 from foretouch.grasp.pose import joined_faults
 from foretouch.ros.messages.conversions import obstacles_from_msg
 from foretouch.ros.messages.placement import Placement, moved_grasp
-from foretouch.types import ASSUMED_TABLE, Float64, Grasp, Grasps, Plane, assumed_table
+from foretouch.types import ASSUMED_TABLE, Float64, Grasps, Plane, assumed_table
 from foretouch.types.arrays import Bool, objects
 from foretouch.types.grasps import contact_faults
 from foretouch.types.rotations import rotation_faults
@@ -78,16 +78,7 @@ class RequestedGrasps:
     @classmethod
     def of_messages(cls, messages: Sequence[GraspMsg]) -> "RequestedGrasps":
         """Read grasps from messages, each of which may be refused."""
-        grasps, reasons = Grasps.unknown(len(messages)), [""] * len(messages)
-        turned = np.array([has_orientation(message) for message in messages], np.bool_)
-        known: dict[int, Grasp] = {}
-        for k, message in enumerate(messages):
-            grasps.object_id[k] = message.object_id
-            try:
-                known[k] = decode_grasp(message, None if turned[k] else np.eye(3))
-            except GraspError as err:
-                reasons[k] = str(err)
-        return cls(grasps.put(list(known), Grasps.of(list(known.values()))), turned, reasons, messages)
+        return cls(*decode_grasps(messages), messages)
 
     @classmethod
     def of_arrays(cls, request: Any) -> "RequestedGrasps":
