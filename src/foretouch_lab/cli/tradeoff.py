@@ -6,7 +6,7 @@ from copy import copy
 from functools import partial
 from pathlib import Path
 
-from foretouch.cli.output import announce, print_json, print_table, print_text, progress_bar
+from foretouch.cli.output import print_json, print_table, print_text, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError, FileError
@@ -39,22 +39,29 @@ def run(arguments: argparse.Namespace) -> int:
         return print_list("areas", {area.area: area for area in list_areas()}, as_json=arguments.json)
     if arguments.area == _ALL:
         return _run_all(arguments)
-    area = find_area(arguments.area)
-    return _run_here(area, arguments) if arguments.here is not None else run_experiment(area, arguments)
+    return _run_one(find_area(arguments.area), arguments)
+
+
+def _run_one(area: Area, arguments: argparse.Namespace) -> int:
+    return run_experiment(area, arguments) if arguments.here is None else _run_here(area, arguments)
 
 
 def _run_all(arguments: argparse.Namespace) -> int:
-    """Run all areas into folders of their names; with --resume those that have a table are left as they are."""
-    if arguments.out is None or arguments.here is not None or arguments.data is not None or arguments.overrides:
-        raise ConfigError(f"tradeoff {_ALL}: takes -o DIR, and neither --here, --data nor settings")
+    """Run all areas, with folders of their names; with --resume those that have a table are left as they are."""
+    if (arguments.out is None) == (arguments.here is None) or arguments.data is not None or arguments.overrides:
+        raise ConfigError(f"tradeoff {_ALL}: takes -o DIR or --here DIR, and neither --data nor settings")
     status, areas = 0, list_areas()
     for number, area in enumerate(areas, 1):
         own = copy(arguments)
+        if own.here is not None:
+            own.here = arguments.here / area.area
+            _run_here(area, own)
+            continue
         own.out = arguments.out / area.area
         if arguments.resume and (own.out / area.results).is_file() and not arguments.redraw:
-            announce(f"{area.area}: measured before")
+            warn(f"{area.area}: measured before")
             continue
-        announce(f"{area.area}: {number} of {len(areas)} areas")
+        warn(f"{area.area}: {number} of {len(areas)} areas")
         own.resume = arguments.resume and (own.out / MANIFEST_FILE).is_file()
         status = max(status, run_experiment(area, own))
     return status
