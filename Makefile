@@ -1,4 +1,4 @@
-# Everything for everyone: make setup, make demo, make test, make check, make test-portable, make coverage, make bench, make docs, make reference. Each can be repeated and reuses what stands.
+# Everything for everyone: make setup, make demo, make test, make check, make test-portable, make coverage, make bench, make docs, make reference, make reference-times. Each can be repeated and reuses what stands.
 # ROS=kilted runs it on ROS 2 Kilted, in an environment of its own.
 PYTHON ?= python3
 ROS ?= jazzy
@@ -23,7 +23,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Tests find memory filled with a pattern where it was not initialised, so that what depends on it fails everywhere.
 test test-ros test-portable check coverage: export MALLOC_PERTURB_ ?= 170
 
-.PHONY: setup runtime demo simulated test test-portable test-ros check coverage bench docs reference format clean
+.PHONY: setup runtime demo simulated test test-portable test-ros check coverage bench docs reference reference-times format clean
 
 # What a robot needs, and the laboratory's simulator for the demo; and what the tests need besides.
 runtime: $(VENV)/.runtime
@@ -93,6 +93,12 @@ docs: runtime
 # The reference pages of docs, from the code; a test compares them.
 reference: setup
 	$(BIN)/python docs/_ext/reference_pages.py
+
+# What accuracy costs in time: all areas of `foretouch tradeoff`, on two idle cores within an hour; then the page, its tables and
+# pictures. It goes on where it was stopped; rm -r build/reference-times starts anew. TIMES="--preset smoke" tries it, to build/tried-times alone.
+reference-times: setup
+	$(BIN)/foretouch tradeoff all -o $(if $(TIMES),build/tried-times,build/reference-times) --resume $(TIMES)
+	$(if $(TIMES),,$(BIN)/python docs/reference_times.py build/reference-times)
 
 format: setup
 	$(BIN)/ruff format .

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -456,6 +457,49 @@ def results() -> str:
     return table(["folder", "question"], rows)
 
 
+_TRADEOFFS = ROOT / "docs" / "results" / "tradeoff"
+_AREAS = ("chain", "scene", "grasp", "model", "simulation", "training")
+
+
+def _measured(area: str) -> str:
+    """Return version, day and machine of the table of an area."""
+    summary = (_TRADEOFFS / area / "summary.md").read_text(encoding="utf-8")
+    found = re.search(r"^`foretouch tradeoff [^`]*`; (foretouch \S+ \(\w+\), [\d-]+, [^;\n]*)", summary, re.MULTILINE)
+    return found[1] if found else "an unknown version"
+
+
+def tradeoff_versions() -> str:
+    """Return with which version the tables of the areas were measured: one, if they are of one."""
+    areas: dict[str, list[str]] = {}
+    for area in _AREAS:
+        areas.setdefault(_measured(area), []).append(area)
+    if len(areas) == 1:
+        return f"All tables and pictures of this page were measured in one run with {next(iter(areas))}.\n"
+    lines = [f"- {', '.join(names)}: {version}" for version, names in areas.items()]
+    return "\n".join(["The tables are of several runs:", "", *lines, ""])
+
+
+def tradeoff_table(name: str) -> str:
+    """Return what an area summarises, and of its variants those on a frontier, the shipped ones and those of others."""
+    from foretouch_lab.experiments.framework.manifest import read_results
+    from foretouch_lab.experiments.framework.tradeoff import find_area
+
+    area = find_area(name)
+    *summaries, whole = area.tables(read_results(_TRADEOFFS / name / area.results))
+    others = {variant.name for variant in area.variants if variant.factor == "reference"}
+    kept, notes = [], whole.notes[2:]  # of the chain, whose frontier is in the summary
+    if name != "chain":
+        notes = whole.notes
+        kept = [
+            [cell(text) for text in row]
+            for row in whole.rows
+            if row[0].endswith(" *") or row[0] in others or any(text.startswith("•") for text in row)
+        ]
+    parts = [table(list(one.columns), [list(map(cell, row)) for row in one.rows]) for one in summaries]
+    lines = [f"- {cell(note)}" for note in (*(note for one in summaries for note in one.notes), *notes)]
+    return sections([*parts, table(list(whole.columns), kept), "\n".join(lines)])
+
+
 GENERATORS: dict[str, Callable[[], str]] = {
     "messages": messages,
     "parameters": parameters,
@@ -468,6 +512,8 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "recipes": recipes,
     "experiments": experiments,
     "results": results,
+    "tradeoff_versions": tradeoff_versions,
+    **{f"tradeoff_{area}": partial(tradeoff_table, area) for area in _AREAS},
 }
 """What a page can ask for, by name."""
 

@@ -186,7 +186,7 @@ def decode_grasps(messages: Sequence[Any]) -> tuple[Grasps, Bool, list[str]]:
 
 
 def _surely_read(contacts: Float64, quaternions: Float64, matrices: Float64, turned: Bool) -> Bool:
-    """Return (K,) which grasps can be read beyond doubt: matrices that are rotations, and quaternions of these, if any."""
+    """Return (K,) which grasps can be read without a closer look: matrices that are rotations, and quaternions of these, if any."""
     with np.errstate(all="ignore"):  # what is not finite is not sure
         skewed = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         off = np.abs(np.sqrt((quaternions**2).sum(axis=1)) - 1.0)

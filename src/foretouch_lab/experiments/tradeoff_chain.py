@@ -26,12 +26,13 @@ import numpy as np
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.registry import SIMULATED_HAND_MODEL, load_model
 from foretouch.models.touch_model import History, TouchModel
+from foretouch.pipeline import preset_files, preset_settings
 from foretouch.tactile import MODALITIES
 from foretouch.tactile.channels import BIOTAC
 from foretouch.types import Float64, Grasps, Touch
 from foretouch.types.scene import Object
 from foretouch_lab.experiments.framework.experiment import Row, Table
-from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, Variant, frontier, make_area, times_text
+from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, Variant, frontier, make_area
 from foretouch_lab.experiments.shared.touched_scenes import FOUND, HARD, TIMED, SceneSettings, TouchedScenes, drawn_rows
 from foretouch_lab.experiments.tradeoff_model import PAUSE_S, READINGS, MeanPredictor, fewer_trees
 
@@ -39,8 +40,11 @@ _CONTACT: Final = "contact"
 _MEAN: Final = "mean"
 _TREES: Final = 10
 _FORMS: Final = (f"{_TREES} trees", _CONTACT, _CONTACT + READINGS)
+_MADE: Final = {"trees": f"a model that is trained with contact.trees={_TREES}", READINGS: "readings of the hand"}
 _SMALLER: Final = {2: 40, 4: 12}  # by the stride of the image: least points of an object
+_PRESETS: Final = {frozenset(preset_settings(name).items()): name for name in preset_files()}
 _BETWEEN_NS: Final = 100_000_000_000  # from one grasp to the next
+_STEPS: Final = ("found", "held", "touch")
 _COUNTS: Final = 4  # columns before the errors: objects, those found, first grasps, those that hold
 
 
@@ -63,22 +67,20 @@ Grasped = tuple[int, Object, Grasps, Touch, Touch]
 def _variants() -> Iterator[Variant]:
     """Iterate over settings of all steps; `values` holds the stride of the image, the form of the model and settings."""
     both = (500, 8000)  # points
-    perceived = [*((1, grid, points) for grid in (60, 120, 240) for points in both), (1, 120, 2000), (1, 10_000, 0)]
+    perceived = [*((1, grid, points) for grid in (60, 120, 240) for points in both), (1, 120, 2000), (1, 480, 0)]
     perceived += [*((2, grid, points) for grid in (60, 120) for points in both), (4, 120, 500)]
     for stride, grid, points in perceived:
         changes: dict[str, Any] = {"segmentation.grid_rows": grid, "grasp.max_points": points}
         if stride in _SMALLER:
             changes["segmentation.clusters.min_points"] = _SMALLER[stride]
-        plain = (stride, grid, points) in ((1, 120, 8000), (2, 60, 500))
-        for form in (*_FORMS, *((_MEAN, _MEAN + READINGS) if plain else ())):
-            shown = f"grid {grid}, {points or 'all'} points" if grid < 10_000 else "every pixel and point"
-            name = f"{640 // stride}x{480 // stride}, {shown}, {form}"
-            default = (stride, grid, points, form) == (1, 120, 8000, _CONTACT)
-            yield Variant(
-                "default: " + name if default else name,
-                "shipped" if default else form,
-                {"stride": stride, "form": form, "changes": changes},
-            )
+        preset = _PRESETS.get(frozenset(changes.items()), "") if stride == 1 else ""
+        shown = f"grid {grid}, {points} points" if points else "every pixel and point"
+        name = f"{f'{preset}: ' if preset else ''}{640 // stride}x{480 // stride}, {shown}"
+        few = preset == "default" or (stride, grid, points) == (2, 60, 500)
+        for form in (*_FORMS, *((_MEAN, _MEAN + READINGS) if few else ())):
+            shipped = preset == "default" and form.startswith(_CONTACT)
+            values = {"stride": stride, "form": form, "changes": {"preset": preset} if preset else changes}
+            yield Variant(f"{name}, {form}", "shipped" if shipped else form, values)
     original = {"grasp.method": "original"}
     yield Variant(
         "640x480, original GeoGrasp, contact", "reference", {"stride": 1, "form": _CONTACT, "changes": original}
@@ -162,7 +164,7 @@ def _accuracy(skill: str, settings: SceneSettings, data: Images) -> Mapping[str,
     rows = drawn_rows(skill, sums, lambda own: steps(own).prod(axis=0), settings.bootstrap)
     for name, row in rows.items():
         parts = steps(sums[name].sum(axis=0)).tolist()
-        row |= dict(zip(("found", "held", "touch"), parts, strict=True))
+        row |= dict(zip(_STEPS, parts, strict=True))
     return rows
 
 
@@ -199,27 +201,35 @@ def settings_text(variant: Variant) -> str:
     words = [f"{name}={value}" for name, value in variant.values["changes"].items()]
     if variant.values["stride"] > 1:
         words.insert(0, f"an image of {640 // variant.values['stride']} columns")
+    words += [text for form, text in _MADE.items() if form in variant.values["form"]]
     return ", ".join(words)
 
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
     """Return the frontier with its steps, its times and what to set."""
     named = {variant.name: variant for variant in VARIANTS}
-    shipped = [row for row in rows if row["factor"] == "shipped"]
-    line = frontier(rows, _PANEL)
-    shown = [*line, *(row for row in shipped if row not in line)]
+    line = {row["variant"] for row in frontier(rows, _PANEL)}
+    presets = tuple(f"{preset}:" for preset in _PRESETS.values())
+    column = "ms_p95" if all(row["state"] == "idle" for row in rows) else "cpu_ms_p95"
     body = [
         [
-            row["variant"],
-            *(f"{row[name]:.2f}" for name in ("chain", "found", "held", "touch")),
-            times_text(row, rows),
-            *(f"{row[name]:.3g}" for name in ("cpu_ms", "cpu_ms_p95")),
+            ("• " if row["variant"] in line else "") + row["variant"],
+            *(f"{row[name]:.2f}" for name in ("chain", *_STEPS)),
+            *(f"{row[name]:.3g}" for name in ("ms_p50", "ms_p95", "cpu_ms", "cpu_ms_p95")),
             settings_text(named[row["variant"]]) if row["variant"] in named else "",
         ]
-        for row in shown
+        for row in sorted(rows, key=lambda row: row[column])
+        if row["variant"] in line or (row["variant"].startswith(presets) and _CONTACT in row["variant"])
     ]
-    columns = ["", "product", "found", "held", "touch", "time [ms]", "CPU, p50 [ms]", "p95 [ms]", "settings"]
-    return [Table("Frontier, by time, and the default", columns, body)]
+    note = "•: on the frontier of the product and the time. Other processes disturb the wall time of a loaded machine."
+    columns = [
+        "",
+        "product",
+        *_STEPS,
+        *(f"{kind} {part} [ms]" for kind in ("wall", "CPU") for part in ("p50", "p95")),
+        "set",
+    ]
+    return [Table("The frontier and the presets, by time", columns, body, [note])]
 
 
 def _load(settings: SceneSettings, _path: Path) -> Images:

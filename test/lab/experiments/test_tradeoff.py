@@ -75,6 +75,7 @@ EXPERIMENT = make_area(
     module=__name__,
     presets={"small": {"timing_s": 0.3, "requests": [1, 3], "pause_s": 0.001}, "full": {}},
     load=lambda settings, path: Words(path),
+    data_folder="data.txt",
     variants=[Variant(name, "shipped" if name == "shipped" else "terms") for name in TERMS],
     timed=timed,
     panels=(Panel("skill", 1, "One number"),),
@@ -137,6 +138,33 @@ def test_an_area_gives_table_and_picture_and_is_timed_again_with_its_skills(lab:
     assert {row["skill"] for row in read_results(table) if row["variant"] == "short"} == {0.52507}
     (lab / "out/tradeoff.csv").unlink()
     assert "skills: 'taste' is not one of skill" in run("skills=[taste]", "--resume")[1]
+
+
+def test_a_frontier_is_timed_here_and_all_areas_run_one_after_the_other(lab: Path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr("foretouch_lab.cli.tradeoff.list_areas", lambda: [find_area("pi_lab.pi")])
+    monkeypatch.setenv("FORETOUCH_DATA", str(lab))
+    out, head = lab / "times", ["tradeoff", "all", "--workers", "1", "--json"]
+
+    def run(*words: str) -> str:
+        assert main([*head, *words]) == 0
+        return capsys.readouterr().out
+
+    run("-o", str(out))
+    table = out / "pi/tradeoff.csv"
+    rows = read_results(table)
+    assert {row["yardstick_ms"] > 0.0 for row in rows} == {True}
+    assert all(row["cpu_ms"] <= row["cpu_ms_p95"] for row in rows)
+    assert "Yardstick: SciPy's k-d tree" in (out / "pi/summary.md").read_text()
+    before = table.read_bytes()
+    assert run("-o", str(out), "--resume") == ""  # it is measured
+    assert table.read_bytes() == before
+    here = json.loads(run("--here", str(out)))
+    assert [(row[0], row[1]) for row in here["rows"]] == [
+        (name, size) for name in ("shipped", "short", "long") for size in ("1", "3")
+    ]  # what is on the frontier, and the shipped one
+    assert "The yardstick takes" in here["notes"][0]
+    assert main([*head, "-o", str(out), "skills=[skill]"]) == 1
+    assert "tradeoff all: takes -o DIR or --here DIR" in capsys.readouterr().err
 
 
 def test_areas_of_the_package_and_their_committed_tables(capsys: pytest.CaptureFixture[str]) -> None:
@@ -249,14 +277,14 @@ def test_the_chain_multiplies_what_is_found_held_and_explained(monkeypatch, scen
     assert tradeoff_chain.steps(np.zeros(104)).tolist() == [0.0, 0.0, 0.0]
     area, settings = tradeoff_chain.EXPERIMENT, SceneSettings(bootstrap=QUICK)
     data = tradeoff_chain.Images(scenes_of_each_kind)
-    shown = ("default", "320x240, grid 120, 500 points, contact + readings", "640x480, grid 120, 8000 points, mean")
+    shown = ("default", "320x240, grid 120, 500 points, contact + readings")
     fewer = tuple(one for one in area.variants if one.name.startswith(shown))
-    assert len(fewer) == 4
+    assert len(fewer) == 6
     monkeypatch.setattr(tradeoff_chain, "VARIANTS", fewer)
     rows = tradeoff_chain._accuracy("chain", settings, data)
     for row in rows.values():
         assert row["chain"] == pytest.approx(row["found"] * row["held"] * row["touch"])
-    assert rows["640x480, grid 120, 8000 points, mean"]["touch"] == 0.0
+    assert rows["default: 640x480, grid 120, 8000 points, mean"]["touch"] == 0.0
     smaller = next(one for one in fewer if one.name.startswith("320"))
     text = (
         "an image of 320 columns, segmentation.grid_rows=120, grasp.max_points=500, segmentation.clusters.min_points=40"

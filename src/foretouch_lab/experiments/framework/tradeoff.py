@@ -241,7 +241,7 @@ def _time_variants(
 
 
 def yardstick() -> Callable[[int], object]:
-    """Return a call whose time tells how fast a machine is (see `_YARDSTICK_TEXT`)."""
+    """Return a call whose time shows how fast a machine is (see `_YARDSTICK_TEXT`)."""
     from scipy.spatial import cKDTree
 
     points = np.random.default_rng(0).uniform(size=(20_000, 3))
