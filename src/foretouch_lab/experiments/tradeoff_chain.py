@@ -248,7 +248,7 @@ EXPERIMENT = make_area(
     settings=SceneSettings,
     presets={
         "smoke": {"scenes": 4, "timing_s": 2.0},
-        "small": {"scenes": 80, "timing_s": 180.0, "pause_s": PAUSE_S},
+        "small": {"scenes": 160, "timing_s": 180.0, "pause_s": PAUSE_S},
         "full": {"timing_s": 600.0, "pause_s": PAUSE_S},
     },
     prepare=lambda _settings, _source, out: out,  # scenes are generated

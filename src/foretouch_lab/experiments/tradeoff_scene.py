@@ -112,7 +112,7 @@ EXPERIMENT = make_area(
     settings=SceneSettings,
     presets={
         "smoke": {"scenes": 2, "timing_s": 1.0},
-        "small": {"scenes": 60, "timing_s": 30.0},
+        "small": {"scenes": 100, "timing_s": 30.0},
         "full": {"timing_s": 120.0},
     },
     prepare=lambda _settings, _source, out: out,  # scenes are generated
