@@ -175,11 +175,12 @@ def decode_grasps(messages: Sequence[Any]) -> tuple[Grasps, Bool, list[str]]:
     rows = np.flatnonzero(sure).tolist()
     own = [messages[k] for k in rows]
     plain = Grasps(
-        *contacts[rows].reshape(-1, 2, 3).swapaxes(0, 1),
-        matrices[rows],
-        np.array([float(m.score) for m in own]),
-        objects([m.id for m in own]),
-        objects([m.object_id for m in own]),
+        g1=contacts[rows, :3],
+        g2=contacts[rows, 3:],
+        rotation=matrices[rows],
+        score=np.array([float(m.score) for m in own]),
+        id=objects([m.id for m in own]),
+        object_id=objects([m.object_id for m in own]),
         flags=objects([tuple(m.flags) for m in own]),
     )
     return grasps.put(rows, plain).put(list(known), Grasps.of(list(known.values()))), turned, reasons

@@ -70,7 +70,7 @@ def open3d_labels(cloud: Cloud) -> Int32:
         return np.flatnonzero(some @ normal + offset > _ABOVE_M)
 
     some = np.asarray(thinned.points)
-    parts = thinned.select_by_index(above(some))
+    parts = thinned.select_by_index(above(some).tolist())
     clusters = np.asarray(parts.cluster_dbscan(2.0 * _VOXEL_M, 5), np.int32)
     labels = np.zeros(len(xyz), np.int32)
     if len(clusters):

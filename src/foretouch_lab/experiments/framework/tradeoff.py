@@ -228,8 +228,8 @@ def _time_variants(
         load = MachineLoad()
         calls = {**{name: call for name, (call, _) in ready.items()}, _YARDSTICK: yardstick()}
         times = time_calls(calls, sizes, settings.timing_s, progress, settings.pause_s)
-    own = 1e3 * np.median(times[_YARDSTICK, sizes[0]], axis=0)
-    machine = {**load.row(), "cpu": cpu_name(), "yardstick_ms": own[0], "yardstick_cpu_ms": own[1]}
+    wall_ms, cpu_ms = (1e3 * np.median(times[_YARDSTICK, sizes[0]], axis=0)).tolist()
+    machine = {**load.row(), "cpu": cpu_name(), "yardstick_ms": wall_ms, "yardstick_cpu_ms": cpu_ms}
     rows: list[tuple[Variant, Row]] = []
     for variant, request in product(area.variants, sizes):
         if (own := times.get((variant.name, request))) is not None:

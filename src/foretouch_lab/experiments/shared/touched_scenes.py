@@ -126,13 +126,13 @@ class TouchedScenes:
         place = np.flatnonzero(labels == 1 + chosen)
         return next((one for one in scene.objects if np.isin(one.pixels[0], place)), None)
 
-    def read(self, number: int, chosen: Grasp) -> tuple[Touch, Touch | None] | None:
+    def read(self, number: int, chosen: Grasp) -> tuple[Touch, Touch] | None:
         """Return what both fingers read in a grasp of the first object of an image, and before it; None if it does not hold."""
         try:
             state = self._hand.run(SampleKey(self.scene.seed, self.slots[number]), grasp=chosen)
         except SimulationError:
             return None
-        return state.touch, state.tare
+        return None if state.tare is None else (state.touch, state.tare)
 
 
 def overlap(labels: Int32, true: AnyArray) -> float:
