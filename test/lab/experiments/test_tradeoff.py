@@ -247,6 +247,7 @@ def test_the_objects_of_a_scene_are_found_and_measured_with_their_masks(monkeypa
     assert {key: value for one in area.variants for key, value in one.values.items() if key == "grasp"} == {}
 
 
+@pytest.mark.slow
 def test_open3d_finds_objects_that_stand_apart(scenes_of_each_kind) -> None:
     ensure_libusb()
     pytest.importorskip("open3d", exc_type=ImportError)
@@ -289,7 +290,8 @@ def test_the_chain_multiplies_what_is_found_held_and_explained(monkeypatch, scen
     text = (
         "an image of 320 columns, segmentation.grid_rows=120, grasp.max_points=500, segmentation.clusters.min_points=40"
     )
-    assert tradeoff_chain.settings_text(smaller) == text
+    assert tradeoff_chain.settings_text(smaller) == f"{text}, readings of the hand"
+    assert "preset=default" in map(tradeoff_chain.settings_text, fewer)
     for one in fewer:
         assert len(area.timed(one, settings, data)[0](1)) == 1  # a prediction
     for one in area.variants:  # can be copied
