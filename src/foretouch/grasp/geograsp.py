@@ -242,7 +242,7 @@ def _plan_completed(
         looked_at = lines is not free or len(plan.grasps) > 1 or held is not None
         plan.grasps = _flagged(plan.grasps, completed, around if looked_at else None, options)
     if plan.grasps:
-        plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
+        plan.initial_points = np.stack([plan.grasps.g1[0], plan.grasps.g2[0]])
         plan.status, plan.reason = "ok", f"the best of {counts['n_free']} possible grasps ({counts['n_lines']} tried)"
         if len(plan.grasps) < config.count:
             near = f"all others are within {APART_M * 1e3:g} mm of one of these"
