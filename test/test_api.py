@@ -288,7 +288,10 @@ def test_the_drawing_has_what_is_given(scene, tmp_path):
         with pytest.raises(ft.ForetouchError, match=rule):
             ft.draw(scene, **wrong)
     assert len(ft.draw(scene).axes) == 1
-    assert len(ft.draw(scene.objects[0], grasps).axes) == 2
+    views = ft.draw(scene.objects[0], grasps).axes
+    assert len(views) == 2
+    legends = [axes.get_legend() for axes in views if axes.get_legend() is not None]
+    assert {text.get_text() for legend in legends for text in legend.get_texts()} == {"not seen"}
     table = scene.objects[0].plane
     away = replace(scene.objects[0], plane=ft.Plane(-table.normal, -table.offset))  # as a user may state it
     assert (

@@ -8,7 +8,7 @@ from seen_solids import Camera, Solid, about_vertical, ball, box, can
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.cloud.io.files import read_cloud
-from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, object_axis, plan_grasps
+from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, completed, object_axis, plan_grasps
 from foretouch.grasp.reach import check_reach
 from foretouch.types import Cloud, Float64, Plane
 from foretouch.types.scene import Object
@@ -244,3 +244,12 @@ def test_recorded_objects_hold_still(real_data, top_view: Plane, rng: np.random.
     assert len(moved) >= 12
     assert (order.max(), micrometre.max() < 10.0) == (0.0, True)
     assert (tenth > 10.0).sum() <= 1
+
+
+def test_bad_lines_keep_their_order() -> None:
+    """Costs are bounded for the neighbours of a line, but two of them are never the same."""
+    costs = np.linspace(0.0, 1000.0, 500)
+    bounded = completed._bounded(costs)
+    assert (np.diff(bounded) > 0.0).all()
+    assert bounded.max() < 5.0
+    np.testing.assert_array_equal(bounded[costs < 4.0], costs[costs < 4.0])

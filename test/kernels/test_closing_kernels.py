@@ -12,6 +12,7 @@ from kernels.references import closing as reference
 from seen_solids import Camera, Solid, about_vertical, ball, box, can
 
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, completed, hand, outline, plan_grasps
+from foretouch.grasp import unseen as unseen_pixels
 from foretouch.kernels import struct
 from foretouch.types import Cloud
 
@@ -118,18 +119,38 @@ def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.ra
     assert n_hidden > 1000
 
 
-def test_the_outermost_points_of_rows(rng: np.random.Generator) -> None:
-    """Also of rows without a point, and without one at the height of the line."""
-    points = rng.uniform((-0.03, -0.01, -0.02), (0.03, 0.004, 0.02), (400, 3)).astype(np.float32)
-    low = np.array([[0.05, 0.0, -0.0079], [-0.001, 0.0, 0.05]], np.float32)
-    frame = np.append(about_vertical(0.4).T, [0.001, 0.002, 0.0])
+def an_image(rng: np.random.Generator) -> dict[str, Any]:
+    """Return a depth image of two depths and pixels without one, of millimetre-wide pixels."""
+    xyz = rng.choice([0.8, 0.803, 0.9, np.nan], (60, 80, 3)).astype(np.float32)
+    return fields("Depths", xyz=xyz, h=60, w=80, camera=np.array([800.0, 40.0, 790.0, 30.0]))
+
+
+def test_where_an_object_ends_by_its_image(rng: np.random.Generator) -> None:
+    """Also of rows without a point, without one at the height of the line, and without any point."""
+    points = rng.uniform((-0.03, -0.01, 0.78), (0.03, 0.004, 0.82), (400, 3)).astype(np.float32)
+    low = np.array([[0.05, 0.0, 0.7921], [-0.001, 0.0, 0.85]], np.float32)
+    frame, image = np.append(about_vertical(0.4).T, [0.001, 0.002, 0.8]), an_image(rng)
+    own = (rng.random((60, 80)) > 0.1).astype(np.uint8)
     for some in (points, low, points[:0]):
-        found, expected = np.empty((2, 4, 2, 9))
-        arguments = some, len(some), frame, np.array([0.006, 0.008, 0.0014]), 9
-        outline._outline_rows(*arguments, found)
-        reference.outline_rows(*arguments, expected)
-        np.testing.assert_allclose(found, expected, atol=1e-9)
-    assert np.isfinite(found).sum() == 18  # no point: the numbers of none
+        arguments = some, len(some), own, image, frame, np.array([0.006, 0.008, 0.0014, 0.005, 2.0]), 9
+        answers = Recorder(outline._outline_ends, reference.outline_ends, 2)
+        answers(*arguments, np.empty((4, 2, 9)), np.empty((2, 2)))
+        for found, expected in zip(*answers.answers[0], strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert np.isnan(answers.answers[0][0][1]).all()
+
+
+def test_how_far_pixels_without_depth_reach(rng: np.random.Generator) -> None:
+    """Outwards from contacts, of which some are out of view."""
+    contacts = rng.uniform((-0.06, -0.04, 0.78), (0.06, 0.04, 0.82), (200, 3))
+    turn = rng.uniform(0.0, 2.0 * np.pi, 200)
+    outwards, image = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1), an_image(rng)
+    image["xyz"][:, 20:60] = np.nan
+    answers = Recorder(unseen_pixels._unseen_beyond, reference.unseen_beyond)
+    answers(contacts, outwards, 200, image, 30, np.array([0.002, 0.005, 0.1, 0.0, 1.0]), np.empty(200))
+    (found,), (expected,) = answers.answers[0]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert np.count_nonzero(found) > 20
 
 
 def test_an_ideal_box_is_as_wide_as_it_is() -> None:

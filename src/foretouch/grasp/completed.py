@@ -19,6 +19,7 @@ Every measure is a quantile or a mean, so that it changes little when the cloud 
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from heapq import heappop, heappush
 from typing import Any, Literal
 
 import numpy as np
@@ -81,6 +82,7 @@ _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of 
 _CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
 _SAME_M = 0.005  # a line with both ends nearer to those of a refused one is refused, too
 _LEAST_M, _MORE_M = -0.002, 0.004  # of clearance, below which a hand does not come, and above which more is of no use
+_TIGHT = 1.0  # cost of a line with the least clearance at its best angle
 _SCARCE_DEG = 100.0  # of tilting that the least clearance is worth; half of it is worth a quarter
 _OTHER_THUMB_DEG = (
     80.0  # of tilting, for which the thumb of a hand with a palm takes the contact on the left of the image
@@ -233,7 +235,13 @@ class CompletedObject:
         turns[:, 0], turns[:, 2] = _ANGLE, np.nan
         measured = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
         height, blocker = measured[[2, 4]]
-        slope, refused = _slopes(measured[:2]), self._refused(measured)
+        slope, width = _slopes(measured[:2]), self._width(measured)
+        if self._hand.hand.is_jaw:  # which ends by single points
+            known = np.isfinite(width)
+            width = np.where(
+                known, _smoothed(np.where(known, width, 0.0)) / np.maximum(_smoothed(1.0 * known), 1e-9), np.nan
+            )
+        refused = self._refused(measured, width)
         left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
         for name in REASONS:
@@ -241,7 +249,7 @@ class CompletedObject:
             alone, left = left, left & ~refused[name]
         counts["n_too_deep"] = 0
         counts["n_free"] = int(np.count_nonzero(left))
-        every = np.minimum(np.nan_to_num(self._cost(measured, slope), nan=_MOST_COST), _MOST_COST)
+        every = _bounded(np.nan_to_num(self._cost(measured, slope, width), nan=np.inf))
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
@@ -267,12 +275,12 @@ class CompletedObject:
             more.flat[chosen] = _UNSEEN * smoothstep(beyond, 0.0, _UNSEEN_M)
         return replace(lines, cost=lines.cost + more) if more.any() else lines
 
-    def _refused(self, measured: Float64) -> dict[str, Bool]:
-        """Return which lines (8, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
+    def _refused(self, measured: Float64, width: Float64) -> dict[str, Bool]:
+        """Return which lines (10, ...) of `_close` with their widths (...) the hand cannot execute, by the names of `REASONS`."""
         low, high, height, top, blocker = measured[:5]
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius),
-            "n_too_wide": self._width(measured) > self._hand.opening,
+            "n_too_wide": width > self._hand.opening,
             "n_too_thin": high - low < _THIN_M,
             "n_blocked": blocker >= 0.0,
         }
@@ -282,14 +290,14 @@ class CompletedObject:
         low, high = measured[8:] if self._hand.hand.is_jaw else measured[:2]
         return np.asarray(high - low + (self._step_m if self._hand.hand.is_jaw else 0.0), np.float64)
 
-    def _cost(self, measured: Float64, slope: Float64) -> Float64:
-        """Return what speaks against each line (10, ...) of `_close`, with the slopes of both ends (2, ...)."""
+    def _cost(self, measured: Float64, slope: Float64, width: Float64) -> Float64:
+        """Return what speaks against each line (10, ...) of `_close`, with the slopes of both ends (2, ...) and widths (...)."""
         low, high, _, _, _, solid, deeper, raised = measured[:8]
         cost = (high - low) / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
         cost += _PLACE_COST + _HOLLOW * (1.0 - solid)
         cost += _DEEP * smoothstep(deeper, 0.0, _DEEPER_M) + (raised / _RAISED_M) ** 2
         opening_m, almost = self._hand.opening, _ALMOST_HAND if self.has_palm else _ALMOST
-        return np.asarray(cost + _WIDE * smoothstep(self._width(measured), almost * opening_m, opening_m), np.float64)
+        return np.asarray(cost + _WIDE * smoothstep(width, almost * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> Float64:
         """Return (2, 3) the contacts of a line [m], where the object ends, in the order of its ends.
@@ -322,7 +330,7 @@ class CompletedObject:
         turn = np.pi * (angle + float((weight * _TURNS).sum())) / _ANGLES
         beside_m = _STEP_M * (line - _LINES // 2 + float((weight * _STEPS).sum()))
         measured = self._close(np.array([[turn, beside_m, float((around * heights).sum() / around.sum())]]), 1)[0, 0]
-        if any(refused.any() for refused in self._refused(measured).values()):
+        if any(refused.any() for refused in self._refused(measured, self._width(measured)).values()):
             return self.contacts(lines, angle, line)
         return self._contacts(self._axes(np.array(turn)), beside_m, measured[8:], float(measured[2]))
 
@@ -365,6 +373,13 @@ class CompletedObject:
         points = self._xyz[self._weights > 0.5].astype(np.float32)
         return cell_means(points, voxel_grid(points, _CELL_M)) if len(points) else np.empty((0, 3))
 
+    @property
+    def hidden(self) -> Float64:
+        """(M, 3) float64 [m], points of the side that the camera does not see, as it is estimated, camera frame."""
+        first = len(self._points.xyz)
+        certain = self._weights[first:] > 0.5
+        return np.asarray(self._foot + self._xyz[first:][certain] @ self._basis, np.float64)
+
     @cached_property
     def _others(self) -> Float64:
         """(M, 3) points of what stands around, in the table's frame."""
@@ -372,23 +387,17 @@ class CompletedObject:
             return np.empty((0, 3))
         return np.ascontiguousarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
 
-    def executed(self, lines: ClosingLines, angle: int, line: int, refine: bool) -> tuple[Float64, WayIn | None, bool]:
-        """Return the contacts of a line (2, 3) and what `way_in` finds for them; of the refined line, where the hand comes there, too.
+    def tightness(self, way: WayIn) -> float:
+        """Return what it costs that a hand with a palm has little room on its way in.
 
         Args:
-            lines: The lines of the object.
-            angle: Number of its direction.
-            line: Number of its place.
-            refine: Whether the refined line is wanted.
+            way: The way.
         """
-        ends = self.contacts(lines, angle, line) if self.has_palm or not refine else self.refined(lines, angle, line)
-        way, blocked = self.way_in(*ends)
-        if way is not None and self.has_palm and refine:
-            refined = self.refined(lines, angle, line)
-            better, _ = self.way_in(*refined)
-            if better is not None:
-                return refined, better, False
-        return ends, way, blocked
+        thumb_at = self._hand.thumb_at
+        room_m = float((way.approaches if thumb_at == "either" else way.approaches[int(thumb_at == "g2")]).max())
+        if not self.has_palm or room_m >= _MORE_M:
+            return 0.0
+        return _TIGHT * (1.0 - float(smoothstep(np.array(room_m), _LEAST_M, _MORE_M)))
 
     def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:
         """Find how the hand comes to a grasp.
@@ -472,6 +481,12 @@ class CompletedObject:
         return angle, int(np.clip(round(beside / _STEP_M) + _LINES // 2, 0, _LINES - 1))
 
 
+def _bounded(cost: Float64) -> Float64:
+    """Return costs that approach `_MOST_COST` from one less on, so that the order of bad lines stays."""
+    least = _MOST_COST - 1.0
+    return np.where(cost < least, cost, _MOST_COST - 1.0 / (1.0 + np.maximum(cost - least, 0.0)))
+
+
 def _final(cost: Float64, left: Bool, wide: Bool) -> Float64:
     """Costs of the lines that are left, smoothed with those that are only too wide; infinite for the others."""
     return np.where(left, _smoothed(np.where(left | wide, cost, _MOST_COST)), np.inf)
@@ -538,24 +553,37 @@ def best_grasps(completed: CompletedObject, lines: ClosingLines, count: int) -> 
     Returns:
         Contacts (2, 3) [m], way in and cost of each.
     """
-    order = np.argsort(lines.cost, axis=None, kind="stable")[: lines.counts["n_free"]]
+    order = np.argsort(lines.cost, axis=None, kind="stable")[: lines.counts["n_free"]].tolist()[::-1]
     chosen: list[tuple[Float64, WayIn, float]] = []
     taken, refused = np.empty((0, 2, 3)), np.empty((0, 2, 3))
-    for angle, line in zip(*np.unravel_index(order, lines.cost.shape), strict=True):
-        if len(chosen) == count:
-            break
-        own = lines.ends[angle, line]
-        if _near(own, taken, APART_M) or _near(own, refused, _SAME_M):
-            continue
-        ends, way, blocked = completed.executed(lines, int(angle), int(line), refine=not chosen)
-        if way is None:
-            lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
-            refused = np.concatenate([refused, own[None]])
-        else:
+    tried: list[tuple[float, int, Float64, WayIn]] = []  # a heap by cost, with that of the way in
+    while len(chosen) < count and (order or tried):
+        if not order or (tried and tried[0][0] <= lines.cost.flat[order[-1]]):
+            cost, number, ends, way = heappop(tried)
+            own = lines.ends.reshape(-1, 2, 3)[number]
+            if _near(own, taken, APART_M):
+                continue
+            if completed.has_palm and not chosen:
+                refined = completed.refined(lines, *divmod(number, _LINES))
+                better, _ = completed.way_in(*refined)
+                ends, way = (ends, way) if better is None else (refined, better)
             if way.thumb_at == "g2":
                 ends, way = ends[::-1], way.with_contacts_swapped()
             taken = np.concatenate([taken, own[None]])
-            chosen.append((ends, way, float(lines.cost[angle, line])))
+            chosen.append((ends, way, cost))
+            continue
+        number = order.pop()
+        own = lines.ends.reshape(-1, 2, 3)[number]
+        if _near(own, taken, APART_M) or _near(own, refused, _SAME_M):
+            continue
+        refine = not (completed.has_palm or chosen)
+        ends = (completed.refined if refine else completed.contacts)(lines, *divmod(number, _LINES))
+        found, blocked = completed.way_in(*ends)
+        if found is None:
+            lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
+            refused = np.concatenate([refused, own[None]])
+        else:
+            heappush(tried, (float(lines.cost.flat[number]) + completed.tightness(found), number, ends, found))
     return chosen
 
 

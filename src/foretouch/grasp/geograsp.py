@@ -42,7 +42,7 @@ from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find
 from foretouch.grasp.unseen import BESIDE_UNSEEN, DepthAround
 from foretouch.types import NO_GRASPS, Cloud, Float32, Float64, Grasp, Grasps, Integer, Plane
 from foretouch.types.arrays import objects
-from foretouch.types.scene import Obstacles
+from foretouch.types.scene import Object, Obstacles
 from foretouch.types.summary import Summarised
 
 PlanStatus = Literal["ok", "initial_points", "no_grasp", "unknown_frame"]
@@ -192,6 +192,25 @@ def _best_grasps(
     plan.status, plan.reason = "ok" if ranked else "initial_points", "; ".join(notes)
 
 
+def unseen_side(target: Object) -> Float64:
+    """Estimate the side of an object that the camera does not see, as the planner does.
+
+    Args:
+        target: The object.
+
+    Returns:
+        (M, 3) float64 [m], points of it, camera frame; none where nothing is estimated.
+    """
+    points, config = finite_points(target.cloud), GeoGraspConfig()
+    try:
+        xyz = points.every_kth_pixel(COMPLETED_POINTS).without_flying(config, {}).xyz
+        spacing = mean_neighbour_distance(xyz, config.neighbours)
+        known = weigh_points(xyz, spacing, config), spacing, target.plane
+        return CompletedObject(*known, DEFAULT_HAND, None, np.zeros(3), config.neighbours).hidden
+    except CloudError:
+        return np.empty((0, 3))
+
+
 def _plan_completed(
     plan: GraspPlan, points: FinitePoints, plane: Plane, config: GeoGraspConfig, options: PlanOptions
 ) -> None:
@@ -233,16 +252,16 @@ def _plan_completed(
             [Grasp(g1, g2, hand_rotation(g1, g2, axis), SCORE_OF_NONE - cost, way=way) for (g1, g2), way, cost in best]
         )
         if held is not None and plan.grasps:
+            way, _ = completed.way_in(*as_in_image(held[0]))
             cost = float(lines.cost[completed.nearest_line(held[0])])
-            if completed.way_in(*as_in_image(held[0]))[0] is None:
-                cost = np.inf
+            cost += np.inf if way is None else completed.tightness(way)
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             grasps, plan.outdone = keep_held(held, held_score, plan.grasps, options.get("hold", 0.0))
             plan.grasps = grasps[: config.count]
         looked_at = lines is not free or len(plan.grasps) > 1 or held is not None
         plan.grasps = _flagged(plan.grasps, completed, around if looked_at else None, options)
     if plan.grasps:
-        plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
+        plan.initial_points = np.stack([plan.grasps.g1[0], plan.grasps.g2[0]])
         plan.status, plan.reason = "ok", f"the best of {counts['n_free']} possible grasps ({counts['n_lines']} tried)"
         if len(plan.grasps) < config.count:
             near = f"all others are within {APART_M * 1e3:g} mm of one of these"

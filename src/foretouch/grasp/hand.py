@@ -35,7 +35,7 @@ _FREE_STEP_M: Final = 0.005
 _WIDER_M: Final = 0.002  # on either side of a line, where the object is not seen to end
 _CELL_M: Final = 0.0025
 _WIDTH_STEP_M: Final = 0.0025
-_PALM_CELLS, _FINGER_CELLS = 3, 2  # around a part of the hand that it takes, too, since widths are estimated
+_PALM_CELLS, _FINGER_CELLS = 3, 2  # around a part of the hand that it takes, too, beside other objects
 _CELLS: Final = 202  # of the grid over a hand, in either direction
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _SIDES: Final = {FINGER: -0.5, PALM: 0.0, THUMB: 0.5}  # of the width, where the origin of such a box is
@@ -256,7 +256,7 @@ class Hand:
             number: The width in steps of `_WIDTH_STEP_M`.
 
         Returns:
-            (2, 202, 202) float32 [m]; each place stands for those around it, too, by `_PALM_CELLS` or `_FINGER_CELLS`.
+            (2, 202, 202) float32 [m]; in the second each place stands for those around it, too, by `_PALM_CELLS` or `_FINGER_CELLS`.
         """
         palm, fingers = np.full((2, 2, _CELLS, _CELLS), -np.inf)
         for share in (1.0, 0.5, 0.0):
@@ -264,7 +264,8 @@ class Hand:
                 _raise_to((palm if part == PALM else fingers)[1], corners)
             if share == 1.0:
                 palm[0], fingers[0] = palm[1], fingers[1]
-        fronts = np.maximum(_spread(palm, _PALM_CELLS), _spread(fingers, _FINGER_CELLS)).astype(np.float32)
+        around = np.maximum(_spread(palm[1:], _PALM_CELLS), _spread(fingers[1:], _FINGER_CELLS))
+        fronts = np.concatenate([np.maximum(palm[:1], fingers[:1]), around]).astype(np.float32)
         fronts[:, [0, -1]] = fronts[:, :, [0, -1]] = -np.inf
         return fronts
 
@@ -330,7 +331,7 @@ def _cell(values: Floating) -> Int32:
 
 
 def _spread(fronts: Float64, cells: int) -> Float64:
-    """Return the largest of each cell of maps (2, H, W) and those around it."""
+    """Return the largest of each cell of maps (..., H, W) and those around it."""
     for axis in (1, 2):
         fronts = np.max([np.roll(fronts, shift, axis) for shift in range(-cells, cells + 1)], axis=0)
     return fronts

@@ -12,14 +12,14 @@ from typing import Self
 import numpy as np
 
 from foretouch.grasp.preprocessing import FinitePoints
-from foretouch.grasp.unseen import DepthAround
+from foretouch.grasp.unseen import BEHIND_M, DepthAround
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32, Float64
 
-_outline_rows = Kernel("outline_rows")
+_outline_ends = Kernel("outline_ends")
 
 _BESIDE_M = 0.006  # of a line, up to where the outline counts, with falling weight
-_OUTWARDS = np.array([[-1.0], [1.0]])
+_STEEP = 2.0  # slope of a surface against the image, from which on its depth counts as an edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +58,9 @@ class SeenOutline:
         """
         pixel_m = self.around.pixel_m(float(origin[2]))
         rows = int(2.0 * _BESIDE_M / pixel_m) + 1
-        found = np.empty((4, 2, rows))
-        frame, settings = np.concatenate([axes.reshape(-1), origin]), np.array([_BESIDE_M, tip_radius_m, pixel_m])
-        _outline_rows(self.xyz, len(self.xyz), frame, settings, rows, found)
-        last, along, beside, face = found[:, :, found[0, 0] >= 0.0]
-        if not last.size:
-            return np.full(2, np.nan), np.zeros(2)
-        on_outline, mixed = self.around.edges(self.xyz[last.astype(np.intp)], _OUTWARDS[..., None] * axes[0], self.own)
-        beyond = along + 0.5 * pixel_m * _OUTWARDS * (1 + mixed)
-        places = np.where(on_outline, beyond, np.where(np.isnan(face), along, face))
-        weight = 1.0 - np.abs(beside) / _BESIDE_M
-        total = weight.sum(axis=1)
-        return (weight * places).sum(axis=1) / total, (weight * on_outline).sum(axis=1) / total
+        frame = np.concatenate([axes.reshape(-1), origin])
+        settings = np.array([_BESIDE_M, tip_radius_m, pixel_m, BEHIND_M, _STEEP])
+        found, ends = np.empty((4, 2, rows)), np.empty((2, 2))
+        own, image = self.own.view(np.uint8), self.around.c_image
+        _outline_ends(self.xyz, len(self.xyz), own, image, frame, settings, rows, found, ends)
+        return ends[0], ends[1]

@@ -87,49 +87,6 @@ void outline(const double *points, int64_t n, const double *grid, int64_t rows, 
     free(other);
 }
 
-/* The outermost points of an object on either side of a line, in rows that are one pixel wide.
- *
- * points (n, 3). frame (12): three directions of unit length, along the line, beside it and up, and a place on it. settings: how far the first and the
- * last row are beside it, radius of a fingertip, whose lower points do not count, and width of a row. found (4, 2, rows), the lower side first: number
- * of the outermost point of a row, -1 without one; its places along the line and beside it; and the mean place along it of those of the row that are
- * at its height and within two pixels of that, NaN without one. */
-void outline_rows(const float *points, int64_t n, const double *frame, const double *settings, int64_t rows, double *found) {
-    const double reach = settings[0], tip = settings[1], width = settings[2];
-    double *number = found, *farthest = found + 2 * rows, *apart = found + 4 * rows, *face = found + 6 * rows;
-    double *counts = calloc((size_t)rows * 2, sizeof(double));
-    for (int64_t i = 0; i < 2 * rows; i++) {
-        number[i] = -1.0, farthest[i] = apart[i] = NAN, face[i] = 0.0;
-    }
-    for (int64_t pass = 0; pass < 2 && counts; pass++) {
-        for (int64_t i = 0; i < n; i++) {
-            const double x = points[3 * i] - frame[9], y = points[3 * i + 1] - frame[10], z = points[3 * i + 2] - frame[11];
-            const double beside = x * frame[3] + y * frame[4] + z * frame[5];
-            if (!(fabs(beside) < reach)) {
-                continue;
-            }
-            const double up = x * frame[6] + y * frame[7] + z * frame[8], along = x * frame[0] + y * frame[1] + z * frame[2];
-            const int64_t row = (int64_t)((beside + reach) / width);
-            if (!(up > -tip) || row >= rows) {
-                continue;
-            }
-            for (int64_t side = 0; side < 2; side++) {
-                const int64_t at = side * rows + row;
-                const int farther = side ? along > farthest[at] : along < farthest[at];
-                if (pass == 0 && (number[at] < 0.0 || farther)) {
-                    number[at] = (double)i, farthest[at] = along, apart[at] = beside;
-                }
-                if (pass == 1 && fabs(up) < tip / 2.0 && fabs(along - farthest[at]) < 2.0 * width) {
-                    face[at] += along, counts[at] += 1.0;
-                }
-            }
-        }
-    }
-    for (int64_t i = 0; i < 2 * rows; i++) {
-        face[i] = counts && counts[i] > 0.0 ? face[i] / counts[i] : NAN;
-    }
-    free(counts);
-}
-
 /* How certainly a place of the table's frame is hidden by the object, 0 ... 1, around a depth behind its nearest point on the ray. */
 INLINE double hidden_by(const Outline *seen, double x, double y, double z, double depth_behind) {
     const double *c = seen->camera, depth = c[6] * x + c[7] * y + c[8] * z + c[11];

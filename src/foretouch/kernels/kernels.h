@@ -38,7 +38,6 @@ typedef struct { /* of an object in the image */
 } Outline;
 void complete_object(const double *points, const double *weights, int64_t n, double top, const double *shift,
     const Outline *seen, double *completed, double *shares, double *found);
-void outline_rows(const float *points, int64_t n, const double *frame, const double *settings, int64_t rows, double *found);
 void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
     int64_t lines, const double *settings, const Outline *seen, const double *others, int64_t m, const double *palm,
     int64_t n_tilts, int64_t n_free, double *found);
@@ -173,6 +172,20 @@ void fit_planes(const double *sums, const float *places, int64_t q, double line,
 
 /* order.c */
 void canonical_order(const float *xyz, int64_t n, int64_t *order);
+
+/* outline.c */
+typedef struct { /* a depth image: one of the three */
+    const float *xyz;      /* (h, w, 3) points */
+    const uint16_t *whole; /* (h, w) depths in a unit */
+    const float *single;   /* (h, w) the same */
+    double scale;          /* the unit */
+    int64_t h, w;
+    const double *camera; /* (4) focal length and principal point across, then down [px] */
+} Depths;
+void outline_ends(const float *points, int64_t n, const uint8_t *own, const Depths *image, const double *frame,
+    const double *settings, int64_t rows, double *found, double *ends);
+void unseen_beyond(const double *contacts, const double *outwards, int64_t n, const Depths *image, int64_t steps,
+    const double *settings, double *beyond);
 
 /* plane.c */
 void count_near(const float *distances, const float *offsets, int64_t m, int64_t n, double reach, int64_t *counts);

@@ -2,16 +2,18 @@
 """The boxes of a described hand: as lines in space, and drawn from the side and from the front."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from foretouch.grasp.hand import FINGER, PALM, THUMB, Hand, load_hand
-from foretouch.report.panels import Axes, new_figure, save
+from foretouch.report.panels import SMALL_PT, Axes, new_figure, save
 from foretouch.types import Float64, Grasp
 
 _EDGES: Final = [(a, b) for a in range(8) for b in (a ^ 1, a ^ 2, a ^ 4) if a < b]  # of the corners of a box
+_MORE_SEEN: Final = 1.02  # times the area that is seen, from which on an unseen side is drawn
 COLOURS: Final = {FINGER: "#00798c", PALM: "#808080", THUMB: "#d1495b"}
 """Of the parts of a hand; thumb and finger have the colours of their contacts, g1 and g2."""
 
@@ -52,6 +54,18 @@ def draw_boxes(axes: Axes, boxes: Float64, part: str) -> None:
         outline = corners[ConvexHull(corners).vertices].T
         axes.fill(*outline, facecolor=COLOURS[part], alpha=0.3, linewidth=0.0, zorder=4)
         axes.fill(*outline, fill=False, edgecolor=COLOURS[part], linewidth=0.9, zorder=4)
+
+
+def draw_unseen(axes: Axes, seen: Float64, unseen: Float64) -> None:
+    """Hatch the outline of points (N, 2) that no camera saw, with a legend, where they reach beyond those (M, 2) that were seen."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    with suppress(QhullError, ValueError):  # of too few points, or of a line
+        area, both = (ConvexHull(points).volume for points in (seen, np.concatenate([seen, unseen])))
+        if both > _MORE_SEEN * area:
+            outline = unseen[ConvexHull(unseen).vertices].T
+            axes.fill(*outline, fill=False, hatch="////", edgecolor="#b0b0b0", linewidth=0.8, linestyle="--", zorder=0.5, label="not seen")  # fmt: skip
+            axes.legend(loc="upper right", fontsize=SMALL_PT, framealpha=0.8)
 
 
 def save_hand_figure(hand: Hand, path: Path) -> Path:

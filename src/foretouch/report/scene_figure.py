@@ -12,9 +12,10 @@ import numpy as np
 
 from foretouch.base.files import as_path
 from foretouch.errors import ConfigError, none_of, shown
+from foretouch.grasp.geograsp import unseen_side
 from foretouch.report.camera_figure import draw_scene_image, window_of
 from foretouch.report.finger_figure import FingerScale, finger_levels, title_finger
-from foretouch.report.hand_figure import draw_boxes, hand_boxes
+from foretouch.report.hand_figure import draw_boxes, draw_unseen, hand_boxes
 from foretouch.report.panels import (
     FINGER_COLOURS,
     INK,
@@ -178,10 +179,10 @@ def _draw_sides(views: Mapping[str, Axes], target: Object, others: Sequence[Obje
         moved = xyz - centre
         return 1e3 * np.stack([moved @ along, moved @ across, xyz @ up + table.offset], axis=-1)
 
-    own = flat(points)
+    own, unseen = flat(points), flat(unseen_side(target))
     ends = np.empty((0, 3)) if grasp is None else flat(np.stack([grasp.g1, grasp.g2]))
     hand = {} if grasp is None else {part: flat(boxes) for part, boxes in hand_boxes(grasp).items()}
-    low, high = (f(np.concatenate([own, ends]), axis=0) for f in (np.min, np.max))
+    low, high = (f(np.concatenate([own, unseen, ends]), axis=0) for f in (np.min, np.max))
     if hand:  # but not the whole forearm
         near = np.clip(np.concatenate(list(hand.values())), low - 1e3 * _HAND_M, high + 1e3 * _HAND_M)
         low, high = np.minimum(low, near.min(axis=(0, 1))), np.maximum(high, near.max(axis=(0, 1)))
@@ -194,6 +195,9 @@ def _draw_sides(views: Mapping[str, Axes], target: Object, others: Sequence[Obje
             rest = flat(some_points(other.cloud))
             axes.scatter(rest[:, 0], rest[:, row], s=2, color="#c8c8c8", linewidths=0)
         axes.scatter(own[:, 0], own[:, row], s=4, c=own[:, 3 - row], cmap="cividis", linewidths=0)
+        stands = [own, own * [1.0, 1.0, 0.0]] if row == 2 else []  # on the table
+        hidden = np.concatenate([unseen, *stands])
+        draw_unseen(axes, own[:, [0, row]], hidden[:, [0, row]])
         for part, boxes in hand.items():
             draw_boxes(axes, boxes[..., [0, row]], part)
         if grasp is not None:

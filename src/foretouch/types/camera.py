@@ -226,13 +226,10 @@ class DepthImage:
         first = top * self.camera.width + left
         self._write(xyz.reshape(-1, 3)[first:], self.camera.width, top, left, bottom - top, right - left, 1)
 
-    def depths(self, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> _Float32:
-        """Return the depths of pixels (...) of the image [m], float32; NaN where there is none."""
-        part = self._depth[rows, columns]
-        with np.errstate(over="ignore"):
-            depths = part.astype(np.float32) * np.float32(self._scale)
-        depths[~((depths > 0.0) & (depths < np.inf))] = np.nan
-        return depths
+    def c_depths(self, pinhole: _Float64) -> Any:
+        """Return the image as kernels read it (`Depths`), with the focal length and the principal point across and down (4,) [px]."""
+        (height, width), depth = self.shape, {"whole" if self._kind is np.uint16 else "single": self._depth}
+        return struct("Depths", **depth, scale=self._scale, h=height, w=width, camera=pinhole)
 
     def count(self, low_m: float, high_m: float) -> tuple[int, int]:
         """Count the pixels with a point, and those with a depth between two [m], both included."""

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError, quoted, require_type, shown
+from foretouch.kernels import struct
 from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8, numbers, scalar, unmasked
 from foretouch.types.camera import CameraModel, DepthImage, as_image, check_image
 from foretouch.types.summary import Summarised
@@ -120,22 +121,15 @@ class Cloud(Summarised):
         points = self.xyz.reshape(-1, 3)
         return points[np.isfinite(points).all(axis=1)]
 
-    def depths(self, rows: Index, columns: Index) -> Float32:
-        """Return the depths of pixels (...) of an organised cloud [m]; NaN where there is none, and infinity out of view."""
+    def c_depths(self, pinhole: Float64) -> Any:
+        """Return the depths of an organised cloud as kernels read them (`Depths`), with the focal length and the principal point across and down (4,) [px]."""
         height, width = self.shape
-        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-        depths = self._depths(np.where(inside, rows, 0), np.where(inside, columns, 0))
-        depths[~inside] = np.inf
-        return depths
+        return struct("Depths", xyz=np.ascontiguousarray(self.xyz), h=height, w=width, camera=pinhole)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """(H, W) of an image, or (N,) of a list of points."""
         return self.xyz.shape[:-1]
-
-    def _depths(self, rows: Index, columns: Index) -> Float32:
-        depths: Float32 = self.xyz[rows, columns, 2]
-        return depths
 
     def take(self, index: Index | Bool) -> "Cloud":
         """Return selected points as an unorganised cloud.
@@ -190,8 +184,9 @@ class DepthCloud(Cloud):
         """(H, W) of the image."""
         return super().shape if self.image is None else self.image.shape
 
-    def _depths(self, rows: Index, columns: Index) -> Float32:
-        return super()._depths(rows, columns) if self.image is None else self.image.depths(rows, columns)
+    def c_depths(self, pinhole: Float64) -> Any:
+        """As of a cloud of points, which are not made for it."""
+        return super().c_depths(pinhole) if self.image is None else self.image.c_depths(pinhole)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         if self.image is None or "xyz" in vars(self):

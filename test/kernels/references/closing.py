@@ -24,19 +24,59 @@ def outline(points, n: int, grid, rows: int, columns: int, nearest, inside) -> N
     inside[:] = grey_closing(filled, size=(5, 5), mode="constant")
 
 
-def outline_rows(points, n, frame, settings, rows, found) -> None:
-    """See the kernel, whose arguments these are."""
-    (reach, tip, width), local = settings, (points[:n].astype(np.float64) - frame[9:]) @ frame[:9].reshape(3, 3).T
+def outline_ends(points, n, own, image, frame, settings, rows, found, ends) -> None:
+    """See the kernel, whose arguments these are; `image` is a mapping with points."""
+    reach, tip, width, apart_m, steep = settings
+    local = (points[:n].astype(np.float64) - frame[9:]) @ frame[:9].reshape(3, 3).T
     found[:], found[0] = np.nan, -1.0
     row = np.floor((local[:, 1] + reach) / width)
     counted = (np.abs(local[:, 1]) < reach) & (local[:, 2] > -tip)
     for k in range(rows):
-        own = np.flatnonzero(counted & (row == k))
-        for side, outermost in enumerate((np.argmin, np.argmax)) if len(own) else ():
-            last = own[outermost(local[own, 0])]
-            face = (np.abs(local[own, 2]) < tip / 2.0) & (np.abs(local[own, 0] - local[last, 0]) < 2.0 * width)
-            mean = local[own[face], 0].mean() if face.any() else np.nan
+        of_row = np.flatnonzero(counted & (row == k))
+        for side, outermost in enumerate((np.argmin, np.argmax)) if len(of_row) else ():
+            last = of_row[outermost(local[of_row, 0])]
+            face = (np.abs(local[of_row, 2]) < tip / 2.0) & (np.abs(local[of_row, 0] - local[last, 0]) < 2.0 * width)
+            mean = local[of_row[face], 0].mean() if face.any() else np.nan
             found[:, side, k] = last, local[last, 0], local[last, 1], mean
+    last, along, beside, face = found[:, :, found[0, 0] >= 0.0]
+    if not last.size:
+        ends[:] = np.nan
+        return
+    outermost, outwards = points[last.astype(int)].astype(np.float64), np.array([[-1.0], [1.0]])
+    step = outermost[..., 2].mean() / np.abs(image["camera"][::2]).mean()
+    beyond = outermost[..., None, :] + np.arange(1.0, 4.0)[:, None] * step * outwards[..., None, None] * frame[:3]
+    depth, pixels = _depths(image, beyond)
+    outside = ~np.where(pixels < 0, False, own.reshape(-1)[pixels]).all(axis=-1)
+    first, second = np.moveaxis(~(np.abs(np.diff(depth)) < apart_m + steep * step), -1, 0)
+    middle = along + 0.5 * width * outwards * (1 + first * (1 + second))
+    places = np.where(outside, middle, np.where(np.isnan(face), along, face))
+    weight = 1.0 - np.abs(beside) / reach
+    ends[:] = (np.stack([places, outside]) * weight).sum(axis=2) / weight.sum(axis=1)
+
+
+def unseen_beyond(contacts, outwards, n, image, steps, settings, beyond) -> None:
+    """See the kernel, whose arguments these are; `image` is a mapping with points."""
+    step, behind, baseline, spare, pixels = settings
+    way = contacts[:n, None] + np.arange(steps)[:, None] * step * outwards[:n, None]
+    for k, (depth, z) in enumerate(zip(_depths(image, way)[0], way[..., 2], strict=True)):
+        unseen, stop = np.isnan(depth), np.flatnonzero(np.isnan(depth) | (depth > z + behind))
+        beyond[k] = 0.0
+        if len(stop) and unseen[stop[0]]:
+            first = stop[0]
+            seen = np.flatnonzero(~unseen[first:]) + first
+            last, far = (seen[0], depth[seen[0]]) if len(seen) else (steps, z[first])
+            expected = baseline * abs(1.0 - z[first] / far) + spare + pixels * z[first] / image["camera"][0]
+            beyond[k] = max((last - first) * step - expected, 0.0)
+
+
+def _depths(image, places) -> tuple[Array, Array]:
+    """Return depths and numbers of the pixels of places (..., 3): infinite and -1 out of view."""
+    f_x, c_x, f_y, c_y = image["camera"]
+    column = np.rint(places[..., 0] / places[..., 2] * f_x + c_x).astype(int)
+    row = np.rint(places[..., 1] / places[..., 2] * f_y + c_y).astype(int)
+    inside = (column >= 0) & (column < image["w"]) & (row >= 0) & (row < image["h"])
+    pixels = np.where(inside, row * image["w"] + column, -1)
+    return np.where(inside, image["xyz"].reshape(-1, 3)[pixels, 2], np.inf), pixels
 
 
 def complete_object(points, weights, n, top, shift, seen, completed, shares, found) -> None:
