@@ -38,6 +38,7 @@ from foretouch.models.contact.estimator import save_contact
 from foretouch.models.touch_model import History, TouchModel
 from foretouch.report.panels import FAINT, FINGER_COLOURS, INK, PAGE_INCH, SMALL_PT, TEXT_PT, new_figure, save_small
 from foretouch.ros.graph import Graph
+from foretouch.ros.nodes.camera import DEPTH_TOPIC
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.types import stamp_ns
@@ -52,6 +53,7 @@ ELECTRODE: Final = 10  # of the middle finger, from 1
 VALUE: Final = BIOTAC.columns(["E_MF"])[ELECTRODE - 1]
 DEVIATIONS: Final = 1.645  # of 90 %
 POLL_S: Final = 0.1
+REMAPPED: Final = ["--ros-args", "-r", f"perception:depth/image:={DEPTH_TOPIC}"]
 SLOW: Final = {"camera.fps": 3, "camera.silence_s": 20.0}
 
 Row = Mapping[str, Any]
@@ -84,7 +86,6 @@ def nodes_of(schedule: ScheduleConfig, out: Path, model: Path) -> dict[str, dict
     shown = {f"scene.{name}": value for name, value in schedule.to_mapping().items()}
     nodes: dict[str, dict[str, Any]] = {}
     nodes["perception"] = {
-        "input": "points",
         "model": str(model),
         "use_tare": False,
         "same_object_m": 0.005,
@@ -175,7 +176,9 @@ def parts_of(history: History) -> dict[str, tuple[float, float]]:
 def run_graph(out: Path, schedule: ScheduleConfig, card: Path, end_s: float) -> list[Row]:
     """Run the graph until a time (`time.time`), then stop it."""
     log, path = Log(schedule, load_scene(schedule.path), load_model(card)), out / f"{HAND}.safetensors"
-    with Graph(nodes_of(schedule, out, card), monitor={"hand": TactileConfig(), "on_touch": log.add_answer}) as graph:
+    with Graph(
+        nodes_of(schedule, out, card), monitor={"hand": TactileConfig(), "on_touch": log.add_answer}, arguments=REMAPPED
+    ) as graph:
         graph.require_active()
         while time.time() < end_s:
             time.sleep(POLL_S)
