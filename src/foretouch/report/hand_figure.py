@@ -3,7 +3,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -50,7 +50,7 @@ def draw_boxes(axes: Axes, boxes: Float64, part: str) -> None:
 
     for corners in boxes:
         outline = corners[ConvexHull(corners).vertices].T
-        style = {"alpha": 0.12, "linewidth": 0.5} if part == PALM else {"alpha": 0.4, "linewidth": 0.9}
+        style: dict[str, Any] = {"alpha": 0.12, "linewidth": 0.5} if part == PALM else {"alpha": 0.4, "linewidth": 0.9}
         axes.fill(*outline, facecolor=COLOURS[part], **style | {"linewidth": 0.0}, zorder=4)
         axes.fill(*outline, fill=False, edgecolor=COLOURS[part], **style | {"alpha": 1.0}, zorder=4)
 
