@@ -27,7 +27,7 @@ COUNTS: Final = (0, 5, 10, 20, 30, 100)
 RECORDED, TESTED, RUN = max(COUNTS), 60, 5
 WAYS: Final = ("tracker", "where", "fitted")
 STYLES: Final = {
-    "tracker": {"label": "the shipped model and the history", "color": INK, "marker": "s", "linestyle": "--"},
+    "tracker": {"label": "the released model and the history", "color": INK, "marker": "s", "linestyle": "--"},
     "where": {"label": "and where it was touched alike", "color": FINGER_COLOURS[3], "marker": "^", "linestyle": "-."},
     "fitted": {"label": "a model fitted to them", "color": FINGER_COLOURS[1], "marker": "o", "linestyle": "-"},
 }  # fmt: skip

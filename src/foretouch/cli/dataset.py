@@ -208,7 +208,11 @@ def _verify(arguments: argparse.Namespace) -> int:
             lost = str(sum(record.get("lost", {}).values()))
             rows.append([str(record["file"]), record["status"], *counts, lost, str(len(record["faults"]))])
     if not arguments.json:
-        print_table("faults were found" if failed else "all are whole", ["file", "state", "samples", "messages", "bytes", "lost", "faults"], rows)
+        print_table(
+            "faults were found" if failed else "all are whole",
+            ["file", "state", "samples", "messages", "bytes", "lost", "faults"],
+            rows,
+        )
     return int(failed)
 
 
