@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw the pictures of the documents: python docs/drawings.py [PICTURE ...].
 
-`bottles` shows the objects in the recorded image of examples/data/bottles. All others but `touch_recorded` show scenes of our
+`bottles` shows the objects in the recorded image of examples/data/bottles, and a grasp on one (inputs.png). `sensor` is the picture of a command. All others but `touch_recorded` show scenes of our
 own, which MuJoCo renders with colour and depth (docs/rendering.py); what is drawn over them is what foretouch answers. `touch_recorded` shows grasps of the public recordings (FORETOUCH_DATA) that the model was not fitted
 to: the recipe of `contact-v2` is fitted to all but the last fifth of each object's grasps, in order of time. Of that last fifth, the
 grasps are drawn whose mean electrode error lies at the lower quartile, the median and the upper quartile.
@@ -537,13 +537,20 @@ def draw_hand_boxes(axes: Axes, grasp: Grasp, thing: Thing, camera: CameraView) 
     axes.set(xticks=[], yticks=[], xlim=(0, 640), ylim=(640, 0))
 
 
+def draw_by_command(name: str, *words: str) -> None:
+    """Draw the picture of a command of foretouch."""
+    command([*words, "--picture", str(FOLDER / f"{name}.png")])
+    shrink(FOLDER / f"{name}.png")
+
+
 def draw_bottles() -> None:
-    """Draw what `foretouch segment` finds in the recorded image of the examples."""
-    command(["segment", str(FOLDER.parent / "examples" / "data" / "bottles"), "--picture", str(FOLDER / "bottles.png")])
-    shrink(FOLDER / "bottles.png")
+    """Draw what `foretouch segment` and `grasp` find in the recorded image of the examples."""
+    folder = str(FOLDER.parent / "examples" / "data" / "bottles")
+    draw_by_command("bottles", "segment", folder)
+    draw_by_command("inputs", "grasp", folder, "--target", "nearest", "--hand", "franka_hand", "--panels", "image,side")
 
 
-PICTURES: Final[dict[str, Callable[[], None]]] = {
+PICTURES: Final[dict[str, Callable[[], object]]] = {
     "steps": draw_steps,
     "frames": draw_frames,
     "segmentation_background": draw_background,
@@ -553,6 +560,7 @@ PICTURES: Final[dict[str, Callable[[], None]]] = {
     "intervals": draw_intervals,
     "hands": draw_hands,
     "bottles": draw_bottles,
+    "sensor": lambda: command(["sensor", "show", "xela_uskin_4x4", "-o", str(FOLDER / "sensor.png")]),
     "touch_recorded": draw_recorded,
 }
 
