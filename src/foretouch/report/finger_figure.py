@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from foretouch.report.panels import FAINT, INK, SKIN, SMALL_PT, TEXT_PT, Axes, finger_colour
+from foretouch.report.panels import (
+    FAINT,
+    FINGER_COLOURS,
+    INK,
+    PAGE_INCH,
+    SKIN,
+    SMALL_PT,
+    TEXT_PT,
+    Axes,
+    finger_colour,
+    new_figure,
+    save,
+)
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Bool, Float64, Prediction, Touch
 
@@ -17,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 from pathlib import Path
 
-from foretouch.report.panels import FINGER_COLOURS, PAGE_INCH, new_figure, save
+
 from foretouch.tactile.description import Sensor
 
 _DISC: Final = 0.38  # radius, of the distance between neighbours
@@ -171,7 +183,9 @@ def _draw_flat(axes: Axes, sensor: Sensor, finger: str, dead: list[int]) -> None
     axes.scatter(places[~hollow, right], places[~hollow, up], color=FINGER_COLOURS[1])
     axes.scatter(places[hollow, right], places[hollow, up], facecolors="none", edgecolors="grey")
     for index, place in enumerate(places if len(places) <= _NUMBERED else ()):
-        axes.annotate(str(index), (place[right], place[up]), xytext=(4, 4), textcoords="offset points", fontsize=SMALL_PT)
+        axes.annotate(
+            str(index), (place[right], place[up]), xytext=(4, 4), textcoords="offset points", fontsize=SMALL_PT
+        )
     title = f"{finger} from outside; hollow: dead" if finger else "from outside"
     axes.set(aspect="equal")
     axes.set_xlabel(f"{'xyz'[right]} [mm]", fontsize=SMALL_PT)
