@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 from pathlib import Path
 
-
 from foretouch.tactile.description import Sensor
 
 _DISC: Final = 0.38  # radius, of the distance between neighbours
