@@ -1,51 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw the pictures of the documents: python docs/drawings.py [PICTURE ...].
 
-`bottles` shows the objects in the recorded image of examples/data/bottles. All others but `touch_recorded` show scenes of our
+`bottles` shows the objects in the recorded image of examples/data/bottles, and a grasp on one (inputs.png). `sensor` is the picture of a command. All others but `touch_recorded` show scenes of our
 own, which MuJoCo renders with colour and depth (docs/rendering.py); what is drawn over them is what foretouch answers. `touch_recorded` shows grasps of the public recordings (FORETOUCH_DATA) that the model was not fitted
 to: the recipe of `contact-v2` is fitted to all but the last fifth of each object's grasps, in order of time. Of that last fifth, the
 grasps are drawn whose mean electrode error lies at the lower quartile, the median and the upper quartile.
 """
 
 import csv
-import io
 import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
+from runpy import run_path
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from PIL import Image
 from rendering import BOTTLE, BOWL, CAN, HAND, Photograph, Stage, Thing, box, frame_in_world, looking, rod, turned
 
 from foretouch.cli.main import main as command
 from foretouch.grasp import GraspPlan
-from foretouch.models import History, load_model
+from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.report.camera_figure import draw_camera, without_slits
+from foretouch.report.camera_figure import area_of, draw_camera, pixels_of, without_slits
 from foretouch.report.finger_figure import FingerScale, finger_levels, title_finger
+from foretouch.report.hand_figure import COLOURS, hand_boxes
 from foretouch.report.panels import FAINT, FINGER_COLOURS, INK, PAGE_INCH, SMALL_PT, TEXT_PT, Axes, new_figure, save
-from foretouch.report.scene_figure import draw_scene
+from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.taxel_view import TaxelView
-from foretouch.types import Cloud, Float64, Grasp, Prediction, Sample
+from foretouch.types import Cloud, Float64, Grasp, Prediction
 from foretouch.types.scene import Object, Scene
 from foretouch_lab.simulation.depth_scene import CameraView
 from foretouch_lab.simulation.scene import load_scene
-from foretouch_lab.simulation.simulate import Simulation
 
 FOLDER: Final = Path(__file__).parent
 NOISE_M: Final = 0.0008  # of the depth at 1 m
 RED, BLUE, YELLOW, GREEN = (0.78, 0.22, 0.18), (0.2, 0.45, 0.7), (0.88, 0.66, 0.2), (0.36, 0.6, 0.36)
 WHITE, GREY, PURPLE, BROWN = (0.86, 0.86, 0.84), (0.55, 0.57, 0.6), (0.5, 0.35, 0.6), (0.45, 0.33, 0.25)
 REASONS: Final = {"enters_view": "#d1495b", "beyond_table": "#3b6fb6", "floating": "#8f4fd1", "wall": "#b8860b"}
+WAY, DEPTH, BARE, REFUSED = "#c8501e", "#6a4c93", "#5a5a5a", "#b00020"
+HANDS: Final = {HAND: "Shadow Hand", "franka_hand": "Franka Hand", "robotiq_2f85": "Robotiq 2F-85"}
 AXES: Final = ("#d62728", "#2ca02c", "#1f77b4")  # x, y, z as in RViz
 
 
@@ -131,10 +133,14 @@ def draw_found(axes: Axes, scene: Scene) -> None:
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
 
 
-def label(axes: Axes, text: str, place: Any, colour: str) -> None:
-    """Write a word on a picture."""
-    axes.annotate(text, place, color="white", fontsize=TEXT_PT, fontweight="bold", ha="center", va="center",
-                  bbox={"boxstyle": "round,pad=0.25", "facecolor": colour, "edgecolor": "white", "linewidth": 0.6})  # fmt: skip
+def label(axes: Axes, text: str, place: Any, colour: str, at: Any = None) -> None:
+    """Write a word on a picture, with a line to what it names if `at` is given."""
+    around = [withStroke(linewidth=3.2, foreground="white")]
+    leads = {"arrowstyle": "-", "color": colour, "lw": 1.5, "shrinkA": 0, "shrinkB": 0, "path_effects": around}
+    drawn = axes.annotate(text, place if at is None else at, place, color="white", fontsize=TEXT_PT, fontweight="bold", ha="center", va="center",
+                  zorder=9, bbox={"boxstyle": "round,pad=0.25", "facecolor": colour, "edgecolor": "white", "linewidth": 0.6},
+                  arrowprops=None if at is None else leads)  # fmt: skip
+    drawn.set_in_layout(False)
 
 
 def draw_background() -> None:
@@ -203,164 +209,193 @@ def draw_taken(axes: Axes, things: Sequence[Thing], camera: CameraView, grasp: G
     middle, across, into = frame[:3, 3], frame[:3, 0], frame[:3, 2]
     aside, turn = np.cross([0.0, 0.0, 1.0], across), np.radians(around_deg)
     level = middle * (1.0, 1.0, 0.0)
-    from_here = level + 0.6 * (np.cos(turn) * aside + np.sin(turn) * across)
-    eye = looking((*from_here[:2], 0.3), (*level[:2], 0.14), 640, 600, 48.0)
+    from_here = level + 0.42 * (np.cos(turn) * aside + np.sin(turn) * across)
+    eye = looking((*from_here[:2], 0.27), (*level[:2], 0.12), 640, 640, 48.0)
     axes.imshow(stage.look(eye))
     thumb, finger = on_picture(eye, middle + np.outer([0.5, -0.5], across * grasp.width_m))
     middle_of, shallow = on_picture(eye, np.stack([middle, middle - grasp.way.depth_m * into]))
-    for width, colour in ((3.5, "white"), (1.8, INK)):
-        axes.plot(*np.stack([thumb, finger]).T, color=colour, linewidth=width)
-    axes.annotate(
-        "",
-        shallow,
-        middle_of,
-        arrowprops={"arrowstyle": "<->", "color": "white", "lw": 2.2, "shrinkA": 0, "shrinkB": 0},
-    )
+    for line, colour in (((thumb, finger), INK), ((middle_of, shallow), DEPTH)):
+        for width, tint in ((4.0, "white"), (2.0, colour)):
+            axes.plot(*np.stack(line).T, color=tint, linewidth=width, solid_capstyle="butt")
     for place, name, colour in zip((thumb, finger), ("thumb", "middle finger"), FINGER_COLOURS, strict=False):
         axes.plot(*place, "o", color=colour, markeredgecolor="white", markersize=7.5)
-        label(axes, name, (place[0] + (-75 if place[0] < middle_of[0] else 130), place[1] + 50), colour)
-    start, ahead = np.array([490.0, 75.0]), middle_of - shallow
-    end, arrow = start + 140.0 * ahead / np.linalg.norm(ahead), "-|>,head_width=0.4,head_length=0.8"
-    axes.annotate("", end, start, arrowprops={"arrowstyle": arrow, "color": "#c8501e", "lw": 3.0})
-    label(axes, "way in", (start[0], start[1] - 25), "#c8501e")
-    label(axes, f"depth {1e3 * grasp.way.depth_m:.0f} mm", (510, 550), INK)
-    axes.annotate("", (middle_of + shallow) / 2.0, (510, 530), arrowprops={"arrowstyle": "-", "color": INK, "lw": 1.2})
-    axes.set(xticks=[], yticks=[], xlim=(0, 640), ylim=(600, 0))
+        label(axes, name, (75, 400) if place[0] < middle_of[0] else (510, 420), colour, place)
+    start, ahead = np.array([500.0, 75.0]), middle_of - shallow
+    end = start + 130.0 * ahead / np.linalg.norm(ahead)
+    arrow = {"arrowstyle": "-|>,head_width=0.4,head_length=0.8", "color": WAY, "lw": 3.0}
+    axes.annotate("", end, start, arrowprops=arrow)
+    label(axes, "way of the hand", (490.0, 30.0), WAY)
+    label(axes, f"depth {1e3 * grasp.way.depth_m:.0f} mm", (515, 330), DEPTH, (middle_of + shallow) / 2.0)
+    label(axes, "object", (470, 590), BARE, on_picture(eye, np.add(level, (0.0, 0.0, 0.03))[None])[0])
+    axes.set(xticks=[], yticks=[], xlim=(0, 640), ylim=(640, 0))
+
+
+def draw_refused(axes: Axes, camera: CameraView) -> None:
+    """Draw a box that is wider than the hand opens, as the camera sees it, and how far the hand opens."""
+    size, turn = np.array([0.16, 0.15, 0.09]), 0.3
+    scene, target, plan = plan_on([box(BLUE, size, (0.0, 0.0, 0.0), turn)], camera)
+    assert not len(plan.grasps)  # noqa: S101
+    draw_camera(axes, scene.cloud, {"": scene.labels == int(target.id)}, around=0.5)
+    axes.texts[0].set_visible(False)
+    along = np.array([-np.sin(turn), np.cos(turn), 0.0])
+    for half, up, aside, colour, text in (
+        (size[1] / 2.0, size[2], 0.0, BARE, f"object: {1e3 * size[1]:.0f} mm"),
+        (0.05, 0.0, 0.13, REFUSED, "the hand opens 100 mm"),
+    ):
+        middle = np.array([np.cos(turn), np.sin(turn), 0.0]) * aside + [0.0, 0.0, up]
+        ends = on_picture(camera, middle + np.outer([-half, half], along))
+        axes.annotate("", *ends, arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "color": "white", "lw": 4.0})
+        axes.annotate("", *ends, arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "color": colour, "lw": 2.0})
+        (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+        place = (0.4, 0.12) if up else (0.6, 0.92)
+        label(axes, text, (left + place[0] * (right - left), high + place[1] * (low - high)), colour, ends.mean(axis=0))
+    axes.set_title(f"refused ({plan.status}): too wide", fontsize=TEXT_PT)
 
 
 def draw_grasps() -> None:
     """Draw a grasp from straight above, one that comes tilted, and an object that is refused."""
     camera = CameraView.towards_table(640, 480, 0.8, np.radians(25.0))
-    figure = new_figure(PAGE_INCH, 3.2)
+    figure = new_figure(PAGE_INCH, 2.75)
     upright, tilted, refused = figure.subplots(1, 3)
     carton = [box(YELLOW, (0.06, 0.12, 0.2), (0.0, 0.0, 0.0), 0.3)]
     draw_taken(upright, carton, camera, plan_on(carton, camera)[2].grasps[0], around_deg=15.0)
-    upright.set_title("a carton, taken from above", fontsize=TEXT_PT)
+    upright.set_title("taken from straight above", fontsize=TEXT_PT)
     bottle = [turned(GREEN, BOTTLE, (0.0, 0.0, 0.0))]
     grasp = plan_on(bottle, camera)[2].grasps[0]
     assert grasp.way is not None  # noqa: S101
     tilt = np.degrees(np.arccos(-(camera.R_world_camera @ grasp.way.approach)[2]))
     draw_taken(tilted, bottle, camera, grasp, around_deg=70.0)
-    tilted.set_title(f"a bottle, tilted by {tilt:.0f}°: there it is shallow", fontsize=TEXT_PT)
-    wide = [box(BLUE, (0.16, 0.15, 0.09), (0.0, 0.0, 0.0), 0.3)]
-    scene, target, plan = plan_on(wide, camera)
-    assert not len(plan.grasps)  # noqa: S101
-    draw_camera(refused, scene.cloud, {target.id: scene.labels == int(target.id)}, around=0.5)
-    refused.set_title(f"refused: {plan.status}", fontsize=TEXT_PT)
-    refused.set_xlabel("\n".join(_wrapped(plan.reason, 42)), fontsize=SMALL_PT)
+    tilted.set_title(f"taken with the hand tilted by {tilt:.0f}°", fontsize=TEXT_PT)
+    draw_refused(refused, camera)
     save_photo(figure, FOLDER / "grasps.png")
 
 
-def _wrapped(text: str, width: int) -> list[str]:
-    from textwrap import wrap
+def touched_figure() -> DrawnGrasp:
+    """Return the grasp of the demo's figure that `examples/draw_touch.py` draws: predicted before and after two touches, and read."""
+    example = run_path(str(FOLDER.parent / "examples" / "draw_touch.py"))
+    drawn: list[DrawnGrasp] = example["grasps_to_draw"](load_scene(FOLDER.parent / "config" / "scenes" / "demo.yaml"))
+    return drawn[-1]
 
-    return wrap(text, width)
 
-
-def touched_figure(touches: Sequence[int]) -> tuple[list[Prediction], Sample]:
-    """Predict one grasp of the demo's figure after each of these numbers of touches; return the predictions, and the grasp with its reading."""
-    model = load_model("simulated")
-    scene = load_scene(FOLDER.parent / "config" / "scenes" / "demo.yaml")
-    visits = [list(visit) for _, visit in groupby(Simulation(scene).samples(10), key=lambda sample: sample.object)]
-    visit = next(visit for visit in visits if visit[0].object == "figure")
-    last, predictions = visit[max(touches)], []
-    for count in touches:
-        history = History(model)
-        for sample in visit[:count]:
-            history.tare(sample.tare, stamp_ns=sample.stamp_ns)
-            history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=True)
-        history.tare(last.tare, stamp_ns=last.stamp_ns)
-        predictions += history.predict(last.cloud, [last.grasp], stamp_ns=last.stamp_ns, same_object=bool(count))
-    return predictions, last
+def draw_figure_seen(axes: Axes, drawn: DrawnGrasp) -> None:
+    """Draw the figure as the camera sees it, with the contacts of the grasp."""
+    assert drawn.target is not None  # noqa: S101
+    assert drawn.scene is not None  # noqa: S101
+    grasp = replace(drawn.prediction.grasp, way=None)
+    draw_camera(axes, drawn.scene, {"": area_of(drawn.target, drawn.scene)}, grasp=grasp, around=0.8)
+    for text in axes.texts:
+        text.set_visible(False)
+    contacts = pixels_of(drawn.scene, np.stack([grasp.g1, grasp.g2]))
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    names = (("thumb", FINGER_COLOURS[0], contacts[0], 0.1), ("middle finger", FINGER_COLOURS[1], contacts[1], 0.9))
+    for name, colour, place, height in names:
+        label(axes, name, (left + 0.25 * (right - left), top + height * (bottom - top)), colour, place)
+    middle = np.add(contacts.mean(axis=0), (0.1 * (right - left), 0.0))
+    label(axes, "object", (left + 0.82 * (right - left), top + 0.62 * (bottom - top)), "#b35900", middle)
 
 
 def draw_skills(axes: Axes) -> None:
     """Draw the skill of the thumb's electrodes on real objects left out, after touches of them (docs/results/unseen_object)."""
     with (FOLDER / "results" / "unseen_object" / "results.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["object"] == "all" and row["modality"] == "E_TH"]
-    drawn = (("contact", "model, adapted", FINGER_COLOURS[0], "o-"), ("training_mean", "mean of the training, adapted", INK, "s--"))  # fmt: skip
-    for name, text, colour, style in drawn:
+    drawn = (("contact", "the model", (5.6, 0.1), 1, FINGER_COLOURS[0], "o-"), ("training_mean", "the mean of the training", (5.6, 0.86), -1, INK, "s--"))  # fmt: skip
+    for name, text, place, which, colour, style in drawn:
         own = sorted((row for row in rows if row["predictor"] == name), key=lambda row: int(row["touches"]))
         touches, skill, low, high = (
             np.array([float(row[key]) for row in own]) for key in ("touches", "skill", "skill_low", "skill_high")
         )
-        axes.plot(touches, skill, style, color=colour, label=text, markersize=5)
+        axes.plot(touches, skill, style, color=colour, markersize=5)
+        label(axes, text, place, colour, (touches[which], skill[which]))
         axes.fill_between(touches, low, high, color=colour, alpha=0.12, linewidth=0.0)
     axes.axhline(0.0, color=FAINT, linewidth=1.0)
     axes.set(xticks=(0, 1, 3, 5, 10), ylim=(-0.1, 1.0))
-    axes.set_xlabel("touches of the object before", fontsize=SMALL_PT)
-    axes.set_ylabel("skill, electrodes of the thumb", fontsize=SMALL_PT)
-    axes.set_title("eight real objects, each left out", fontsize=TEXT_PT)
+    axes.set_xlabel("touches of the object before the prediction", fontsize=SMALL_PT)
+    axes.set_ylabel("skill (1: perfect, 0: the mean)", fontsize=SMALL_PT)
+    axes.set_title(
+        "eight real objects that the model does not know:\nskill after touches of the object (bands: 95 %)",
+        fontsize=TEXT_PT,
+    )
     axes.tick_params(labelsize=SMALL_PT)
-    axes.legend(fontsize=SMALL_PT, loc="upper left", frameon=False)
 
 
 def draw_adaptation() -> None:
     """Draw how the skill rises with touches of objects that the model never saw, and one simulated grasp before and after two."""
-    (before, after), last = touched_figure((0, 2))
-    assert last.touch is not None  # noqa: S101
+    grasp = touched_figure()
+    assert grasp.read is not None  # noqa: S101
+    assert grasp.earlier is not None  # noqa: S101
     view = TaxelView(BIOTAC_SP)
-    drawn = [[finger_levels(view, one, last.tare, k) for k in (0, 1)] for one in (before, after)]
-    drawn.append([(view.levels(last.touch.values, last.tare, k), None) for k in (0, 1)])
+    drawn = [[finger_levels(view, one, grasp.rest, k) for k in (0, 1)] for one in (grasp.earlier, grasp.prediction)]
+    drawn.append([(view.levels(grasp.read.values, grasp.rest, k), None) for k in (0, 1)])
     halves = [half for one in drawn for _, half in one if half is not None]
     scale = FingerScale(view, [levels for one in drawn for levels, _ in one], halves, tared=True)
-    figure = new_figure(PAGE_INCH, 4.3)
+    figure = new_figure(PAGE_INCH, 5.2)
     left, right = figure.subfigures(1, 2, width_ratios=(1.0, 1.35))
-    draw_skills(left.subplots())
+    seen, skills = left.subplots(2, 1, height_ratios=(1.0, 1.25))
+    draw_figure_seen(seen, grasp)
+    seen.set_title("one grasp of a new object (simulated)", fontsize=TEXT_PT)
+    draw_skills(skills)
     grid = right.subplots(2, 3)
-    for column, one, what in zip(grid.T, drawn, ("no touch", "two touches", "read"), strict=True):
+    right.suptitle("this grasp, predicted twice and then read by the hand", fontsize=TEXT_PT)
+    columns = ("predicted,\nno touch yet", "predicted,\ntwo touches", "read")
+    for column, one, what in zip(grid.T, drawn, columns, strict=True):
         for k, panel in enumerate(column):
             scale.draw(panel, k, one[k][0], half=one[k][1])
             title_finger(panel, scale, k, "", what if k == 0 else "")
     scale.add_bar(right, list(grid.flat), shrink=0.9, aspect=35)
-    for name, one in (("before", before), ("after", after)):
-        print(name, f"{np.abs(one.value.values - last.touch.values)[2:].mean():.1f} counts")  # noqa: T201
+    for name, prediction in (("before", grasp.earlier), ("after", grasp.prediction)):
+        print(name, f"{np.abs(prediction.value.values - grasp.read.values)[2:].mean():.0f} counts")  # noqa: T201
     save_photo(figure, FOLDER / "adaptation.png")
 
 
 def draw_intervals() -> None:
     """Draw the predicted electrodes of one finger as rings and as bars, and where they were read."""
-    (prediction,), last = touched_figure((2,))
-    finger = 1
-    assert last.touch is not None  # noqa: S101
+    grasp, finger = touched_figure(), 1
+    assert grasp.read is not None  # noqa: S101
     view = TaxelView(BIOTAC_SP)
-    columns = view.columns(finger)
-    levels, half = finger_levels(view, prediction, last.tare, finger)
+    levels, half = finger_levels(view, grasp.prediction, grasp.rest, finger)
     assert half is not None  # noqa: S101
-    read = view.levels(last.touch.values, last.tare, finger)
+    read = view.levels(grasp.read.values, grasp.rest, finger)
     outside = np.abs(read - levels) > half
     scale = FingerScale(view, [levels, read], [half], tared=True)
-    figure = new_figure(PAGE_INCH, 3.3)
-    left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 2.6, 1.0))
+    figure = new_figure(PAGE_INCH, 3.6)
+    seen, left, middle, right = figure.subplots(1, 4, width_ratios=(1.5, 1.0, 2.1, 1.0))
+    draw_figure_seen(seen, grasp)
+    seen.set_title("the grasp (simulated)", fontsize=TEXT_PT)
+    most = int(np.argmax(levels))
     for axes, what, shown, rings, crossed in (
         (left, "predicted", levels, half, None),
-        (right, "read", read, None, outside),
+        (right, "read by the hand", read, None, outside),
     ):
         scale.draw(axes, finger, shown, half=rings, outside=crossed)
         title_finger(axes, scale, finger, "", what)
-    number = np.arange(1, len(columns) + 1)
-    middle.use_sticky_edges = False
-    middle.bar(number, 2.0 * half, 0.55, levels - half, color=FAINT, label="90 % interval")
-    middle.plot(number, levels, "_", color=FINGER_COLOURS[finger], markersize=9, markeredgewidth=2.5, label="predicted")
-    middle.plot(number[~outside], read[~outside], "o", color=INK, markersize=4.5, label="read inside")
-    if outside.any():
-        middle.plot(number[outside], read[outside], "X", color=INK, markersize=7.5, label="read outside")
-    middle.set_xlabel("electrode of the middle finger", fontsize=SMALL_PT)
+        places = 1e3 * view.sensor.layout.unrolled
+        label(axes, f"electrode {most + 1}", (places[:, 0].mean(), places[:, 1].min() - 2.5), BARE, places[most])
+    draw_bars(middle, levels, half, read, finger)
     middle.set_ylabel(view.label(from_rest=True), fontsize=SMALL_PT)
-    middle.set_xticks([1, 6, 12, 18, 24])
-    middle.tick_params(labelsize=SMALL_PT)
-    middle.legend(
-        fontsize=SMALL_PT,
-        loc="upper center",
-        bbox_to_anchor=(0.5, 1.2),
-        ncols=4,
-        frameon=False,
-        columnspacing=1.0,
-        handletextpad=0.3,
-    )
-    scale.add_bar(figure, [left, middle, right], shrink=0.6, aspect=45)
-    print(f"{(~outside).sum()} of {len(columns)} inside")  # noqa: T201
+    scale.add_bar(figure, [seen, left, middle, right], shrink=0.6, aspect=45)
+    print(f"{(~outside).sum()} of {len(levels)} inside")  # noqa: T201
     save_photo(figure, FOLDER / "intervals.png")
+
+
+def draw_bars(axes: Axes, levels: Float64, half: Float64, read: Float64, finger: int) -> None:
+    """Draw the electrodes of a finger: (N,) predicted levels, half widths of their intervals, and (N,) levels that were read."""
+    number, outside = np.arange(1, len(levels) + 1), np.abs(read - levels) > half
+    colour, most = FINGER_COLOURS[finger], int(np.argmax(levels))
+    axes.use_sticky_edges = False
+    axes.bar(number, 2.0 * half, 0.55, levels - half, color=FAINT)
+    axes.plot(number, levels, "_", color=colour, markersize=9, markeredgewidth=2.5)
+    axes.plot(number[~outside], read[~outside], "o", color=INK, markersize=4.5)
+    axes.plot(number[outside], read[outside], "X", color=INK, markersize=7.5)
+    low, high = axes.get_ylim()
+    for text, tint, height, value in (
+        ("90 % interval", BARE, 0.93, levels[most] + 0.85 * half[most]),
+        ("read", INK, 0.8, read[most]),
+        ("predicted", colour, 0.67, levels[most]),
+    ):
+        label(axes, text, (5.0, low + height * (high - low)), tint, (most + 0.8, value))
+    axes.set_xlabel("electrode of the middle finger", fontsize=SMALL_PT)
+    axes.set_xticks([1, 6, 12, 18, 24])
+    axes.tick_params(labelsize=SMALL_PT)
 
 
 def table_of_four() -> tuple[list[Thing], CameraView]:
@@ -448,7 +483,6 @@ def triad(axes: Axes, eye: CameraView, origin: Float64, rotation: Float64, lette
 
 def draw_recorded() -> None:
     """Predicted beside read, on recorded grasps that the model was not fitted to."""
-    from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
     from foretouch_lab.learning.data import labels_of, load_dataset, make_folds
     from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
 
@@ -472,33 +506,51 @@ def draw_recorded() -> None:
 
 
 def draw_hands() -> None:
-    """Draw the first grasp of each hand on the same can, for docs/hands.md."""
-    things = [turned(RED, ((1e-4, 0.0), (0.033, 0.0), (0.033, 0.12), (1e-4, 0.12)), (0.0, 0.0, 0.0), lying=0.6)]
+    """Draw the boxes of each hand at its first grasp of the same can, for docs/hands.md."""
+    profile = ((1e-4, 0.0), (0.033, 0.0), (0.033, 0.12), (1e-4, 0.12))
+    can = turned(YELLOW, profile, (0.0, 0.0, 0.0), lying=0.6)
     camera = CameraView.towards_table(640, 480, 0.75, np.radians(20.0))
-    cloud = Stage(things).photograph(camera).cloud(NOISE_M)
-    pictures = []
-    for name in (HAND, "franka_hand", "robotiq_2f85"):
-        pipeline = Pipeline(PipelineConfig().updated({"hand.name": name}))
-        scene = pipeline.segment(cloud)
-        figure = draw_scene(scene, pipeline.plan(scene.targets[0]).grasps, panels=("image", "side"))
-        figure.suptitle(name, fontsize=TEXT_PT, fontweight="bold")
-        held = io.BytesIO()
-        figure.savefig(held, format="png", dpi=110, facecolor="white")
-        pictures.append(Image.open(held).convert("RGB"))
-    sheet = Image.new("RGB", (pictures[0].width, sum(picture.height for picture in pictures)), "white")
-    for row, picture in enumerate(pictures):
-        sheet.paste(picture, (0, row * picture.height))
-    sheet.save(FOLDER / "hands.png")
-    shrink(FOLDER / "hands.png")
+    figure = new_figure(PAGE_INCH, 3.0)
+    for axes, (name, title) in zip(figure.subplots(1, 3), HANDS.items(), strict=True):
+        grasp = plan_on([can], camera, name)[2].grasps[0]
+        draw_hand_boxes(axes, grasp, can, camera)
+        axes.set_title(title, fontsize=TEXT_PT)
+    save_photo(figure, FOLDER / "hands.png")
+
+
+def draw_hand_boxes(axes: Axes, grasp: Grasp, thing: Thing, camera: CameraView) -> None:
+    """Draw the boxes of a hand at its grasp of a thing, from the side, and name its parts."""
+    parts = {part: camera.to_world(boxes) for part, boxes in hand_boxes(grasp).items()}
+    shapes = [Thing(to_rgb(COLOURS[part]), corners) for part, boxes in parts.items() for corners in boxes]
+    middle, across, _ = frame_in_world(grasp, camera)[:3, [3, 0, 2]].T
+    aside = np.cross(across, [0.0, 0.0, 1.0])
+    eye = looking(middle + 0.55 * aside + 0.18 * across + [0.0, 0.0, 0.18], (*middle[:2], 0.075), 640, 640, 36.0)
+    axes.imshow(Stage([thing, *shapes]).look(eye))
+    ends = on_picture(eye, middle + np.outer([0.5, -0.5], across * grasp.width_m))
+    named = ("thumb", "middle finger") if grasp.way and grasp.way.joints else ("finger at g1", "finger at g2")
+    for place, text, colour in zip(ends, named, FINGER_COLOURS, strict=False):
+        axes.plot(*place, "o", color=colour, markeredgecolor="white", markersize=7.5)
+        label(axes, text, (125 if place[0] < 320 else 515, 530), colour, place)
+    label(axes, "object", (320, 605), BARE, on_picture(eye, middle[None])[0])
+    nearest = min(parts["palm"], key=lambda box: float(np.linalg.norm(box.mean(axis=0) - middle)))
+    label(axes, "palm", (110, 45), BARE, on_picture(eye, nearest.mean(axis=0)[None])[0])
+    axes.set(xticks=[], yticks=[], xlim=(0, 640), ylim=(640, 0))
+
+
+def draw_by_command(name: str, *words: str) -> None:
+    """Draw the picture of a command of foretouch."""
+    command([*words, "--picture", str(FOLDER / f"{name}.png")])
+    shrink(FOLDER / f"{name}.png")
 
 
 def draw_bottles() -> None:
-    """Draw what `foretouch segment` finds in the recorded image of the examples."""
-    command(["segment", str(FOLDER.parent / "examples" / "data" / "bottles"), "--picture", str(FOLDER / "bottles.png")])
-    shrink(FOLDER / "bottles.png")
+    """Draw what `foretouch segment` and `grasp` find in the recorded image of the examples."""
+    folder = str(FOLDER.parent / "examples" / "data" / "bottles")
+    draw_by_command("bottles", "segment", folder)
+    draw_by_command("inputs", "grasp", folder, "--target", "nearest", "--hand", "franka_hand", "--panels", "image,side")
 
 
-PICTURES: Final[dict[str, Callable[[], None]]] = {
+PICTURES: Final[dict[str, Callable[[], object]]] = {
     "steps": draw_steps,
     "frames": draw_frames,
     "segmentation_background": draw_background,
@@ -508,6 +560,7 @@ PICTURES: Final[dict[str, Callable[[], None]]] = {
     "intervals": draw_intervals,
     "hands": draw_hands,
     "bottles": draw_bottles,
+    "sensor": lambda: command(["sensor", "show", "xela_uskin_4x4", "-o", str(FOLDER / "sensor.png")]),
     "touch_recorded": draw_recorded,
 }
 

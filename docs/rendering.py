@@ -56,7 +56,7 @@ class Thing:
 
     colour: Colour
     vertices: Float64 | None = None  # (V, 3) [m]
-    faces: Int32 | None = None  # (F, 3)
+    faces: Int32 | None = None  # (F, 3); None is the convex hull
     shape: str = ""  # attributes of a `geom`, such as type="box" size="..." pos="..."
 
 
@@ -126,9 +126,10 @@ class Stage:
         for k, thing in enumerate(things):
             colour = " ".join(f"{value:.4f}" for value in thing.colour)
             shape = thing.shape
-            if thing.vertices is not None and thing.faces is not None:
-                vertices, faces = (" ".join(f"{v:.6g}" for v in np.ravel(a)) for a in (thing.vertices, thing.faces))
-                meshes.append(f'<mesh name="thing{k}" vertex="{vertices}" face="{faces}" inertia="shell"/>')
+            if thing.vertices is not None:
+                vertices = " ".join(f"{v:.6g}" for v in np.ravel(thing.vertices))
+                faces = "" if thing.faces is None else f'face="{" ".join(map(str, np.ravel(thing.faces)))}"'
+                meshes.append(f'<mesh name="thing{k}" vertex="{vertices}" {faces} inertia="shell"/>')
                 shape = f'type="mesh" mesh="thing{k}"'
             geoms.append(f'<geom name="thing{k}" {shape} rgba="{colour} 1" material="gloss"/>')
         mount, files = _hand_xml() if hand else ("", {})
@@ -143,7 +144,7 @@ class Stage:
 <headlight ambient=".44 .44 .44" diffuse=".26 .26 .26" specular=".05 .05 .05"/></visual>
 <asset><texture name="sky" type="skybox" builtin="gradient" rgb1=".93 .95 .97" rgb2=".78 .81 .85" width="64" height="64"/>
 <texture name="wood" type="2d" file="wood.png"/><material name="wood" texture="wood" texrepeat="1 1" specular=".1" shininess=".1"/>
-<material name="gloss" specular=".35" shininess=".5"/><material name="shell" specular=".4" shininess=".3" rgba=".5 .53 .57 1"/>
+<material name="gloss" specular=".35" shininess=".5"/><material name="shell" specular=".4" shininess=".3" rgba=".74 .77 .81 1"/>
 {"".join(meshes)}</asset>
 <worldbody><light pos="-.5 .6 1.8" dir=".28 -.33 -1" directional="true" castshadow="true" diffuse=".55 .53 .5" specular=".2 .2 .2"/>
 <geom name="table" type="box" size=".7 .5 .02" pos="0 0 -.02" material="wood"/>

@@ -36,8 +36,9 @@ from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.touch_model import History, TouchModel
-from foretouch.report.panels import new_figure, save
+from foretouch.report.panels import FAINT, FINGER_COLOURS, INK, PAGE_INCH, SMALL_PT, TEXT_PT, new_figure, save_small
 from foretouch.ros.graph import Graph
+from foretouch.ros.nodes.camera import DEPTH_TOPIC
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.types import stamp_ns
@@ -52,6 +53,7 @@ ELECTRODE: Final = 10  # of the middle finger, from 1
 VALUE: Final = BIOTAC.columns(["E_MF"])[ELECTRODE - 1]
 DEVIATIONS: Final = 1.645  # of 90 %
 POLL_S: Final = 0.1
+REMAPPED: Final = ["--ros-args", "-r", f"perception:depth/image:={DEPTH_TOPIC}"]
 SLOW: Final = {"camera.fps": 3, "camera.silence_s": 20.0}
 
 Row = Mapping[str, Any]
@@ -76,7 +78,7 @@ def write_model(out: Path) -> Path:
     quicker = replace(calibration, tracker=replace(tracker, **times))
     errors = {name: model.card["calibration"][name] for name in ("level", "regimes", "rest")}
     facts = {name: model.card[name] for name in ("summary", "config", "data", "split", "skill", "baselines", "limits")}
-    return save_contact(out / "model", model.name, model.estimator, facts, (quicker, errors))
+    return save_contact(out / "model", model.name, model.predictor, facts, (quicker, errors))
 
 
 def nodes_of(schedule: ScheduleConfig, out: Path, model: Path) -> dict[str, dict[str, Any]]:
@@ -174,7 +176,9 @@ def parts_of(history: History) -> dict[str, tuple[float, float]]:
 def run_graph(out: Path, schedule: ScheduleConfig, card: Path, end_s: float) -> list[Row]:
     """Run the graph until a time (`time.time`), then stop it."""
     log, path = Log(schedule, load_scene(schedule.path), load_model(card)), out / f"{HAND}.safetensors"
-    with Graph(nodes_of(schedule, out, card), monitor={"hand": TactileConfig(), "on_touch": log.add_answer}) as graph:
+    with Graph(
+        nodes_of(schedule, out, card), monitor={"hand": TactileConfig(), "on_touch": log.add_answer}, arguments=REMAPPED
+    ) as graph:
         graph.require_active()
         while time.time() < end_s:
             time.sleep(POLL_S)
@@ -188,53 +192,37 @@ def run_graph(out: Path, schedule: ScheduleConfig, card: Path, end_s: float) -> 
 
 def draw(rows: Sequence[Row], path: Path) -> Path:
     """Draw `day.png` from the rows of `day.csv`."""
-    figure = new_figure(9.0, 7.0)
+    figure = new_figure(PAGE_INCH, 6.0)
     grid = figure.subplots(3, 1, sharex=True, height_ratios=[2.0, 1.2, 1.2])
     predictions = _of(rows, "prediction")
     pause = _longest_pause(predictions)
     restart = tuple(_hours(pause))
     titles = (
-        f"Electrode {ELECTRODE} of the middle finger: each grasp is predicted before it is executed",
-        "State of the sensor: is kept over objects and over the restart, and follows the drift",
-        "Part of the object: starts again with each object, and is kept over the restart",
+        f"electrode {ELECTRODE} of the middle finger: predicted (line, band: 90 % interval), then read (dots)",
+        "estimated level of the sensor: kept over objects and the restart; dashed: the simulated drift, shifted to it",
+        "estimated part of the object: begins again with each object, and is kept over the restart",
     )
     for axes, title, kind, colour in zip(
-        grid, titles, ("prediction", "state", "object"), ("C0", "C1", "C2"), strict=True
-    ):
+        grid, titles, ("prediction", "state", "object"), (FINGER_COLOURS[1], FINGER_COLOURS[3], FINGER_COLOURS[2]), strict=True
+    ):  # fmt: skip
         _draw_visits(axes, predictions, named=axes is grid[0])
-        axes.axvspan(*restart, color="0.35")
+        axes.axvspan(*restart, color=FAINT)
         for later in (False, True):
             part = [row for row in _of(rows, kind) if (row["second"] > pause[0]) == later]
-            _draw_band(axes, part, colour, "prediction and its 90 % interval", stepped=kind != "prediction")
-        axes.set_title(title, loc="left", fontsize=10, pad=18 if axes is grid[0] else 5)
-        axes.set_ylabel("counts")
-        axes.grid(visible=True, axis="y", alpha=0.3)
+            _draw_band(axes, part, colour, stepped=kind != "prediction")
+        axes.set_title(title, loc="left", fontsize=TEXT_PT, pad=16 if axes is grid[0] else 5)
+        axes.set_ylabel("counts", fontsize=SMALL_PT)
+        axes.tick_params(labelsize=SMALL_PT)
     seconds, counts = _xy(_of(rows, "reading"))
-    grid[0].plot(_hours(seconds), counts, "ko", markersize=4, label="reading of the executed grasp")
+    grid[0].plot(_hours(seconds), counts, "o", color=INK, markersize=3.5)
     seconds, counts = _xy(_of(rows, "rest"))
     level = float(np.mean(_xy(_of(rows, "state"))[1][3:]))
-    grid[1].plot(
-        _hours(seconds), np.array(counts) + level, "k--", linewidth=1.2, label="simulated drift, shifted to it"
-    )
-    for axes in grid[:2]:
-        handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-        axes.legend(
-            handles.values(), handles.keys(), loc="upper right" if axes is grid[0] else "lower right", fontsize=8
-        )
-    middle = sum(restart) / 2.0
-    grid[0].text(
-        middle,
-        0.5,
-        "graph restarted",
-        rotation=90,
-        color="white",
-        ha="center",
-        va="center",
-        transform=grid[0].get_xaxis_transform(),
-    )
-    grid[-1].set_xlabel("time of the simulated day [h]")
+    grid[1].plot(_hours(seconds), np.array(counts) + level, "--", color=INK, linewidth=1.2)
+    style = {"rotation": 90, "ha": "center", "va": "center", "fontsize": TEXT_PT, "color": INK}
+    grid[0].text(sum(restart) / 2.0, 0.5, "graph restarted", transform=grid[0].get_xaxis_transform(), **style)
+    grid[-1].set_xlabel("time of the simulated day [h]", fontsize=SMALL_PT)
     grid[0].set_xlim(0.0, _hours(max(row["second"] for row in predictions)))
-    return save(figure, path)
+    return save_small(figure, path)
 
 
 def _of(rows: Sequence[Row], kind: str) -> list[Row]:
@@ -249,13 +237,12 @@ def _hours(seconds: Any) -> Any:
     return np.asarray(seconds) * SPEED / 3600.0
 
 
-def _draw_band(axes: Any, rows: Sequence[Row], colour: str, label: str, *, stepped: bool) -> None:
+def _draw_band(axes: Any, rows: Sequence[Row], colour: str, *, stepped: bool) -> None:
     seconds, values = _xy(rows)
     low, high = ([row[key] for row in rows] for key in ("low", "high"))
     style = {"step": "post"} if stepped else {}
-    axes.fill_between(_hours(seconds), low, high, color=colour, alpha=0.3, linewidth=0.0, **style)
-    drawn = "steps-post" if stepped else "default"
-    axes.plot(_hours(seconds), values, color=colour, drawstyle=drawn, label="estimate, 90 %" if stepped else label)
+    axes.fill_between(_hours(seconds), low, high, color=colour, alpha=0.25, linewidth=0.0, **style)
+    axes.plot(_hours(seconds), values, color=colour, drawstyle="steps-post" if stepped else "default")
 
 
 def _longest_pause(rows: Sequence[Row]) -> tuple[float, float]:
@@ -274,7 +261,14 @@ def _draw_visits(axes: Any, rows: Sequence[Row], *, named: bool) -> None:
         if visit != visits[0]:
             axes.axvline(_hours(start), color="0.2", linewidth=1.0)
         if named:
-            axes.text(_hours((start + end) / 2), 1.02, name, transform=axes.get_xaxis_transform(), ha="center")
+            axes.text(
+                _hours((start + end) / 2),
+                1.02,
+                f"object: {name}",
+                transform=axes.get_xaxis_transform(),
+                ha="center",
+                fontsize=TEXT_PT,
+            )
 
 
 def main() -> int:

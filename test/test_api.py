@@ -42,7 +42,7 @@ def test_the_front_door_loads_nothing_until_it_is_used_and_every_name_is_there()
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
     assert all(getattr(ft, name) is not None for name in ft.__all__)
     assert {*dir(ft), "__version__"} == set(ft.__all__)
-    with pytest.raises(AttributeError, match="No foretouch attribute Clouds"):
+    with pytest.raises(AttributeError, match="did you mean Cloud"):
         _ = ft.Clouds
 
 

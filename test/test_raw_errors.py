@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values of any type in any argument of the library: an answer, or one line of its own errors, and never an error of Python."""
 
+import copy
+import inspect
+import pickle
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -114,3 +117,88 @@ def test_no_value_that_is_written_raises_an_error_of_python(
     every_case(
         [(f"{name}: {kind}", call, value) for name, call in writes.items() for kind, value in VALUES.items()], check
     )
+
+
+CURES: dict[str, tuple[Callable[[Any], object], str]] = {
+    "prediction.PDC": (lambda v: v.touch[0].PDC, 'write prediction["PDC"]'),
+    "predictions.E": (lambda v: v.touch.E, 'write predictions["E"]'),
+    "touch.E_TH": (lambda v: v.touch[0].value.E_TH, 'write touch["E_TH"]'),
+    "predictions.values": (lambda v: v.touch.values, "write predictions.value"),  # noqa: PD011
+    "prediction.values": (lambda v: v.touch[0].values, "write prediction.value.values"),  # noqa: PD011
+    "prediction.std": (lambda v: v.touch[0].std, "lower"),
+    "a channel in small letters": (lambda v: v.touch["pdc"], "PDC_TH"),
+    "a grasp too many": (lambda v: v.grasps[10], "they are 0 to 2"),
+    "a prediction too many": (lambda v: v.touch[5], "they are 0 to 2"),
+    "grasps by name": (lambda v: v.grasps["x"], "Grasps[x]"),
+    "grasps by a long mask": (lambda v: v.grasps[np.ones(9, bool)], "selects no rows"),
+    "grasps.width": (lambda v: v.grasps.width, "did you mean width_m?"),
+    "grasp.width": (lambda v: v.grasps[0].width, "did you mean width_m?"),
+    "scene.object": (lambda v: v.scene.object, "did you mean objects?"),
+    "scene.target": (lambda v: v.scene.target, "did you mean targets?"),
+    "scene[0]": (lambda v: v.scene[0], "write scene.objects"),
+    "the elements of a scene": (lambda v: list(v.scene), "write scene.objects"),
+    "scene.at of a column": (lambda v: v.scene.at(3), "Scene.at(u, v)"),
+    "scene.near of three": (lambda v: v.scene.near(1, 2, 3), "Scene.near(point, tolerance_m=…)"),
+    "object.points": (lambda v: v.scene.objects[0].points, "write object.cloud.xyz"),
+    "object.center": (lambda v: v.scene.objects[0].center, "write object.centroid"),
+    "cloud.points": (lambda v: v.scene.cloud.points, "write cloud.xyz"),
+    "a depth image without its camera": (lambda _: ft.Cloud.from_depth(DEPTH), "Cloud.from_depth(depth, K"),
+    "intrinsics=": (lambda _: ft.Cloud.from_depth(DEPTH, intrinsics=CAMERA), "from_depth(depth, K"),
+    "Cloud of nothing": (lambda _: ft.Cloud(), "Cloud(xyz"),
+    "a grasp of one contact": (lambda _: ft.Grasp([0, 0, 1]), "Grasp(g1, g2"),
+    "Touch of values alone": (lambda _: ft.Touch(np.zeros(50)), "Touch(values, channels)"),
+    "Touch.of without channels": (lambda _: ft.Touch.of(PDC_TH=1), "Touch.of(channels, **parts)"),
+    "History of nothing": (lambda _: ft.History(), "History(model)"),
+    "history.touched of two": (lambda v: ft.History(v.model).touched(v.scene.objects[0], v.grasps[0]), "reading"),
+    "history.tare of nothing": (lambda v: ft.History(v.model).tare(), "History.tare(reading"),
+    "history.append": (lambda v: ft.History(v.model).append(1), "touched"),
+    "predict of an object": (lambda v: v.model.predict(v.scene.objects[0]), "TouchModel.predict(cloud, grasps"),
+    "plan of a scene": (lambda v: ft.plan(v.scene), "segment(cloud).objects[0]"),
+    "plan of nothing": (lambda _: ft.plan(), "plan(target"),
+    "plan(counts=)": (lambda v: ft.plan(v.scene.objects[0], counts=3), "did you mean count?"),
+    "a hand of another name": (lambda v: ft.plan(v.scene.objects[0], hand="franka"), "franka_hand"),
+    "segment of a file": (lambda _: ft.segment("table.npz"), "Cloud.from_depth(depth, K)"),
+    "a setting of another name": (lambda _: ft.PipelineConfig(grasps=3), "did you mean grasp?"),
+    "a model of another name": (lambda _: ft.load_model("contact_v3"), "did you mean contact-v3?"),
+    "a function that is a method": (lambda _: ft.predict, "load_model().predict(object, grasps)"),
+    "a name that is not there": (lambda _: ft.segmentation, "did you mean segment?"),
+    "draw(file=)": (lambda v: ft.draw(v.scene, file="a.png"), "path=…"),
+    "write of nothing": (lambda _: ft.write(), "write(path, samples"),
+}  # fmt: skip
+"""What users do by mistake, and what the line of foretouch contains that helps them."""
+
+
+class Values:
+    """What mistakes are made with."""
+
+    def __init__(self) -> None:
+        depth = DEPTH.copy()
+        depth[50:70, 70:90] = 0.85
+        self.scene, self.model = ft.segment(ft.Cloud.from_depth(depth, CAMERA)), ft.load_model()
+        self.grasps = ft.plan(self.scene.objects[0], count=3)
+        self.touch = self.model.predict(self.scene.objects[0], self.grasps)
+
+
+def test_what_users_do_by_mistake_is_answered_with_a_cure() -> None:
+    values = Values()
+    assert len(values.grasps) == 3
+
+    def answered(mistake: Callable[[Any], object], cure: str) -> None:
+        with pytest.raises(ft.ForetouchError) as caught:
+            mistake(values)
+        assert cure in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    every_case(CURES, answered)
+
+
+def test_what_python_and_libraries_ask_of_an_object_is_no_mistake() -> None:
+    grasps = Values().grasps
+    assert not hasattr(grasps, "anything")
+    assert not hasattr(grasps, "__array_interface__")
+    assert pickle.loads(pickle.dumps(grasps))[1].width_m == copy.deepcopy(grasps)[1].width_m
+    assert list(inspect.signature(ft.Grasp).parameters)[:3] == ["g1", "g2", "rotation"]
+    with pytest.raises(TypeError):
+        ft.History()
+    with pytest.raises(IndexError):
+        grasps[3]

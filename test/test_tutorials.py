@@ -162,6 +162,12 @@ def test_there_is_a_tutorial_for_each_user_and_each_quotes_an_output() -> None:
         assert len([line for step in steps for line in step.quoted]) >= 4, page
 
 
+def test_the_program_of_the_readme_is_the_example_that_it_runs() -> None:
+    shown = re.findall(r"^```python\n(.*?)^```$", PAGES[0].read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    assert len(shown) == 1
+    assert (ROOT / "examples" / "feel.py").read_text(encoding="utf-8").endswith(f'"""\n\n{shown[0]}')
+
+
 def test_the_readme_is_short() -> None:
     lines = PAGES[0].read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 110

@@ -15,6 +15,7 @@ import foretouch as ft
 from benchmarks.common import ROOT, read_csv, write_csv
 from foretouch.config import load_yaml
 from foretouch.models.touch_model import History, TouchModel
+from foretouch.report.panels import FINGER_COLOURS, INK, PAGE_INCH, SMALL_PT, TEXT_PT, new_figure, save_small
 from foretouch.types import Float64, Sample, Touch
 from foretouch.types.channels import Channels
 from foretouch_lab.simulation.scene import SceneConfig
@@ -25,6 +26,11 @@ SCENES: Final = {"BioTac SP": "fifty_touches", "uSkin": "fifty_touches_uskin"}
 COUNTS: Final = (0, 5, 10, 20, 30, 100)
 RECORDED, TESTED, RUN = max(COUNTS), 60, 5
 WAYS: Final = ("tracker", "where", "fitted")
+STYLES: Final = {
+    "tracker": {"label": "the released model and the history", "color": INK, "marker": "s", "linestyle": "--"},
+    "where": {"label": "and where it was touched alike", "color": FINGER_COLOURS[3], "marker": "^", "linestyle": "-."},
+    "fitted": {"label": "a model fitted to them", "color": FINGER_COLOURS[1], "marker": "o", "linestyle": "-"},
+}  # fmt: skip
 MINUTE_NS: Final = 60 * 10**9
 OFFSET: Final = {"BioTac SP": 150.0, "uSkin": 1000.0}  # standard deviation of the rest level of each value [counts]
 GAINS: Final = (0.6, 1.6)  # of each finger and kind of value
@@ -168,15 +174,12 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
 
 def draw(path: Path) -> None:
     """Draw skill and coverage over the number of recorded grasps, from `results.csv`."""
-    from matplotlib.figure import Figure
-
     table = read_csv(FOLDER / "results.csv")
-    figure = Figure(figsize=(9, 6), layout="constrained")
+    figure = new_figure(PAGE_INCH, 4.8)
     panels = figure.subplots(2, len(SCENES), sharex=True, sharey="row")
-    labels = {"tracker": "tracker", "where": "and similar touches", "fitted": "model fitted to them"}
     for column, hand in enumerate(SCENES):
-        for line, (what, axes) in enumerate(zip(("skill", "coverage"), panels[:, column], strict=True)):
-            for shift, way in enumerate(WAYS):
+        for what, axes in zip(("skill", "coverage"), panels[:, column], strict=True):
+            for shift, (way, style) in enumerate(STYLES.items()):
                 points = []
                 for place, count in enumerate(COUNTS):
                     values = [
@@ -184,24 +187,23 @@ def draw(path: Path) -> None:
                         if (row["hand"], row["way"], int(row["grasps"])) == (hand, way, count) and row[what]
                     ]  # fmt: skip
                     if values:
-                        points.append((place + 0.12 * (shift - 1), *interval(values)))
-                if points:
-                    axes.errorbar(*np.transpose(points), marker="o", capsize=3, label=labels[way])
+                        points.append((place + 0.16 * (shift - 1), *interval(values)))
+                axes.errorbar(*np.transpose(points), capsize=3, markersize=5, **style)
             axes.set_xticks(range(len(COUNTS)), [str(count) for count in COUNTS])
-            axes.grid(alpha=0.3)
-            if line:
-                axes.axhline(0.9, color="gray", linestyle=":")
-                axes.set_xlabel("recorded grasps")
-            else:
-                axes.axhline(0.0, color="gray", linestyle=":")
-                axes.set_title(hand)
-    panels[0, 0].set_ylabel("mean skill")
+            axes.tick_params(labelsize=SMALL_PT)
+            axes.axhline({"skill": 0.0, "coverage": 0.9}[what], color=INK, linestyle=":", linewidth=1.0, zorder=0)
+        panels[0, column].set_title(f"a new hand with {hand}", fontsize=TEXT_PT)
+        panels[1, column].set_xlabel("recorded grasps of this hand", fontsize=SMALL_PT)
+    panels[0, 0].set_ylabel("skill (1: perfect, 0: the mean)", fontsize=SMALL_PT)
     panels[0, 0].set_yscale("symlog", linthresh=1.0)
+    panels[0, 0].set_yticks([-10.0, -3.0, -1.0, 0.0, 1.0], ["−10", "−3", "−1", "0", "1"])
     panels[0, 0].set_ylim(-30.0, 1.0)  # the bars of three hands end beyond what a skill or a share can be
     panels[1, 0].set_ylim(0.0, 1.0)
-    panels[1, 0].set_ylabel("coverage of 90 % intervals")
-    panels[1, 0].legend(loc="lower right")
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+    panels[1, 0].set_ylabel("share read inside 90 % intervals", fontsize=SMALL_PT)
+    figure.legend(
+        *panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=SMALL_PT, frameon=False
+    )
+    save_small(figure, path)
 
 
 def main() -> None:

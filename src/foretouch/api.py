@@ -12,7 +12,7 @@ from foretouch.base.files import as_path
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
 from foretouch.doors import FUNCTIONS
-from foretouch.errors import TactileError
+from foretouch.errors import TactileError, checked
 from foretouch.grasp.messages import decode_predictions
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Pipeline, PipelineConfig
@@ -41,6 +41,7 @@ class Scores(Protocol):
         ...
 
 
+@checked
 def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: PipelineConfig | None = None) -> Scene:
     """Find the table and the objects on it.
 
@@ -60,6 +61,7 @@ def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: Pipeline
     return Pipeline(config).segment(cloud, mask=mask)
 
 
+@checked
 def plan(
     target: Object,
     *,
@@ -101,6 +103,7 @@ def plan(
     return pipeline.plan(target).grasps
 
 
+@checked
 def reading(message: Any) -> Prediction | Predictions:
     """Read the predicted readings in a message, such as `reading(message)["E"].value`.
 
@@ -124,6 +127,7 @@ def reading(message: Any) -> Prediction | Predictions:
     return rows if many else rows[0]
 
 
+@checked
 def open(path: str | Path) -> SampleSet:  # noqa: A001
     """Open a dataset in any format that foretouch reads: a recording, a training store, vision2tactile folders.
 
@@ -140,6 +144,7 @@ def open(path: str | Path) -> SampleSet:  # noqa: A001
     return open_samples(as_path(path).absolute())
 
 
+@checked
 def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "contact-v3", **settings: Any) -> TouchModel:
     """Fit a touch model to samples; requires `foretouch[lab]`.
 
@@ -159,6 +164,7 @@ def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "conta
     return model
 
 
+@checked
 def calibrate(
     predictor: Any,
     samples: SampleSet | Sequence[Sample] | str | Path,
@@ -196,6 +202,7 @@ def calibrate(
     return model
 
 
+@checked
 def evaluate(
     models: Any,
     samples: SampleSet | Sequence[Sample] | str | Path,
@@ -231,6 +238,7 @@ def evaluate(
     return scores
 
 
+@checked
 def draw(
     scene: Scene | Object, grasps: Grasps | None = None, touch: Predictions | None = None, **options: Any
 ) -> "Figure":
@@ -247,4 +255,4 @@ def draw(
     """
     from foretouch.report.scene_figure import draw_scene
 
-    return draw_scene(scene, grasps, touch, **options)
+    return checked(draw_scene)(scene, grasps, touch, **options)

@@ -8,16 +8,21 @@ the command line can print it unchanged.
 from __future__ import annotations
 
 import difflib
+import inspect
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import wraps
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, ParamSpec, TypeVar
 
 _SHOWN: Final = 200  # characters of a name or value in a message
 _PATH: Final = 400  # characters of a path in a message
 _RULE: Final = 800  # characters of a rule, which may list what is known
 _REPR: Final = 70  # characters of a message where it is printed as a value
 _LINE: Final = 2000  # characters of a message
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 
 def shown(value: Any, limit: int = _SHOWN) -> str:
@@ -97,6 +102,46 @@ def require_type(value: Any, kind: Any, field: str, rule: str, fault: type[Foret
 def _without_init(kind: type[ForetouchError], args: tuple[Any, ...]) -> ForetouchError:
     """Make an error of what it was made of, without its `__init__`, which takes other arguments."""
     return kind.__new__(kind, *args)
+
+
+class CallError(ForetouchError, TypeError):
+    """A call with an argument too many, too few or of an unknown name."""
+
+
+class UnknownAttributeError(ForetouchError, AttributeError):
+    """An attribute that an object does not have."""
+
+
+class NoSuchRowError(ForetouchError, IndexError):
+    """A row of columns, or an element, that is not there."""
+
+
+def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Let a function refuse a call with other arguments than its own by a `CallError`; its other errors are as they are."""
+
+    @wraps(function)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        try:
+            return function(*args, **kwargs)
+        except TypeError:
+            check_call(function, args, kwargs)
+            raise
+
+    return call
+
+
+def check_call(function: Callable[..., Any], args: Sequence[Any], given: Mapping[str, Any]) -> None:
+    """Refuse a call whose arguments are not those of a function or class; a `CallError` shows how it is called."""
+    signature, name = inspect.signature(function), function.__qualname__.removesuffix(".__init__")
+    try:
+        signature.bind(*args, **given)
+    except TypeError as err:
+        own = [info for info in signature.parameters.values() if info.name not in ("self", "cls")]
+        known = [str(info.replace(annotation=info.empty, default=info.empty)) for info in own]
+        known = [text if info.default is info.empty else f"{text}=…" for text, info in zip(known, own, strict=True)]
+        names = [info.name for info in own]
+        similar = "".join(nearest(key, names) for key in given if key not in names)
+        raise CallError(f"{name}: {err}{similar}; the call is {name}({', '.join(known)})") from None
 
 
 class ConfigError(ForetouchError):

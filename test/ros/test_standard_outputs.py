@@ -7,6 +7,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sensor_msgs.msg import Image, PointCloud2
 
 from foretouch.cloud.io.mask_files import decode_mask
+from foretouch.pipeline import Pipeline, PipelineConfig
+from foretouch.report.camera_figure import pixels_of
+from foretouch.report.hand_figure import COLOURS
+from foretouch.report.panels import FINGER_COLOURS
 from foretouch.ros.messages.clouds import cloud_to_msg, labels_to_msg, overlay_to_msg
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.types import Cloud
@@ -67,6 +71,23 @@ def test_a_label_is_one_number_of_16_bits_and_never_0_for_an_object():
     nothing = Scene("no_plane", "", Cloud(np.full((2, 3, 3), np.nan, np.float32)), None, (), (), np.empty((0, 3)),
                     np.zeros((2, 3), np.int32), {}, {})  # fmt: skip
     assert not rgb(overlay_to_msg(nothing, message.header)).any()
+
+
+def test_the_overlay_shows_the_ids_and_the_first_grasp_with_its_hand(scene_cloud):
+    pipeline = Pipeline(PipelineConfig().updated({"hand.name": "robotiq_2f140"}))
+    scene = pipeline.segment(scene_cloud(n_objects=3, width=848))
+    grasp = pipeline.plan(scene.objects[0]).grasps[0]
+    bare, drawn = (rgb(overlay_to_msg(scene, header_to_msg("cam", 5), one)) for one in (None, grasp))
+    ends = (pixels_of(scene.cloud, np.stack([grasp.g1, grasp.g2])) / 2.0).round().astype(int)
+    colours = [tuple(int(text[k : k + 2], 16) for k in (1, 3, 5)) for text in FINGER_COLOURS[:2]]
+    for (column, row), colour in zip(ends, colours, strict=True):
+        near = drawn[row - 3 : row + 4, column - 3 : column + 4]
+        assert (near == colour).all(axis=2).any(), colour
+    grey = [int(COLOURS["palm"][k : k + 2], 16) for k in (1, 3, 5)]
+    assert (drawn == grey).all(axis=2).sum() > (bare == grey).all(axis=2).sum()
+    for one in scene.objects:  # the id is white on its object
+        row, column = (int(np.median(places)) // 2 for places in np.divmod(one.pixels, 848))
+        assert (bare[row - 8 : row + 9, column - 8 : column + 9] > 220).all(axis=2).any(), one.id
 
 
 def test_objects_are_detections_in_the_frame_of_the_results_where_their_package_is_installed(graph, scene_cloud):

@@ -208,7 +208,11 @@ def _verify(arguments: argparse.Namespace) -> int:
             lost = str(sum(record.get("lost", {}).values()))
             rows.append([str(record["file"]), record["status"], *counts, lost, str(len(record["faults"]))])
     if not arguments.json:
-        print_table("verified", ["file", "state", "samples", "messages", "bytes", "lost", "faults"], rows)
+        print_table(
+            "faults were found" if failed else "all are whole",
+            ["file", "state", "samples", "messages", "bytes", "lost", "faults"],
+            rows,
+        )
     return int(failed)
 
 
@@ -269,6 +273,8 @@ def _repair(arguments: argparse.Namespace) -> int:
                 warn(report.refusal)
             for line in lost:
                 warn(f"{line}: not kept")
+            if report.changed and not report.samples:
+                warn(f"{report.path}: holds no whole sample: a sample is written when its grasp has ended")
             kept = report.original.name if report.original else ""
             failed |= bool(report.refusal)
             state = "refused" if report.refusal else "repaired" if report.changed else "not damaged"

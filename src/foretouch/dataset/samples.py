@@ -12,7 +12,7 @@ import numpy as np
 
 from foretouch.dataset.identity import Identity
 from foretouch.doors import FUNCTIONS
-from foretouch.errors import DatasetError, shown
+from foretouch.errors import DatasetError, NoSuchRowError, shown
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
@@ -82,12 +82,12 @@ class SampleSet(Summarised, Tabular):
     @overload
     def __getitem__(self, number: slice) -> "SampleSet": ...
     def __getitem__(self, number: int | slice) -> "Sample | SampleSet":
-        """Read a sample by its number, from the end if it is negative, or choose some by a slice; an `IndexError` if there is none."""
+        """Read a sample by its number, from the end if it is negative, or choose some by a slice; a `NoSuchRowError` if there is none."""
         if isinstance(number, slice):
             return self.subset(range(self.size)[number])
         number = operator.index(number)
         if not -self.size <= number < self.size:
-            raise IndexError(f"{self.path}: there is no sample {number}, 0 to {self.size - 1}")
+            raise NoSuchRowError(f"{self.path}: there is no sample {number}, 0 to {self.size - 1}")
         return self.read(number % self.size)
 
     def __iter__(self) -> Iterator[Sample]:

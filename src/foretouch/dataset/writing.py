@@ -21,7 +21,7 @@ from foretouch.dataset.labelling.grasp_arrays import GraspArrays, Missing, Remar
 from foretouch.dataset.labelling.stamps import stamp_faults
 from foretouch.dataset.recordings.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
-from foretouch.errors import DatasetError, ForetouchError, shown
+from foretouch.errors import DatasetError, ForetouchError, checked, shown
 from foretouch.grasp import closing_faults
 from foretouch.tactile.description import Sensor, load_sensor
 from foretouch.types import Grasps, Sample
@@ -39,6 +39,7 @@ class WriteResult:
     notes: tuple[str, ...] = ()  # what to look at: stamps, missing numbers, what a bag states of its files
 
 
+@checked
 def write(
     path: str | Path,
     samples: "SampleSet | Iterable[Sample | Mapping[str, Any]]",

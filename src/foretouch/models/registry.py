@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch.base.files import read_json
-from foretouch.errors import FileError, ModelError, nearest, shown
+from foretouch.errors import FileError, ModelError, checked, nearest, shown
 from foretouch.models.card import CARD_FORMAT, OWN, read_card
 from foretouch.models.touch_model import TouchModel
 
@@ -31,6 +31,7 @@ def available_models() -> list[str]:
     return sorted((path.stem for path in _released().glob("*.json")), key=lambda name: (name != DEFAULT_MODEL, name))
 
 
+@checked
 def load_model(name_or_path: str | Path = "default", predictor: Any = None) -> TouchModel:
     """Load a model that comes with the package, or one from a file or a model folder, or join networks for different modalities.
 

@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from foretouch.report.panels import FAINT, INK, SKIN, SMALL_PT, TEXT_PT, Axes, finger_colour
+from foretouch.report.panels import (
+    FAINT,
+    FINGER_COLOURS,
+    INK,
+    PAGE_INCH,
+    SKIN,
+    SMALL_PT,
+    TEXT_PT,
+    Axes,
+    finger_colour,
+    new_figure,
+    save,
+)
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Bool, Float64, Prediction, Touch
 
@@ -17,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 from pathlib import Path
 
-from foretouch.report.panels import new_figure, save
 from foretouch.tactile.description import Sensor
 
 _DISC: Final = 0.38  # radius, of the distance between neighbours
@@ -168,12 +179,18 @@ def _draw_flat(axes: Axes, sensor: Sensor, finger: str, dead: list[int]) -> None
     depth = int(np.abs(facing).argmax())
     right, up = (axis for axis in range(3) if axis != depth)
     hollow = np.isin(np.arange(len(places)), dead)
-    axes.scatter(places[~hollow, right], places[~hollow, up])
+    axes.scatter(places[~hollow, right], places[~hollow, up], color=FINGER_COLOURS[1])
     axes.scatter(places[hollow, right], places[hollow, up], facecolors="none", edgecolors="grey")
     for index, place in enumerate(places if len(places) <= _NUMBERED else ()):
-        axes.annotate(str(index), (place[right], place[up]), xytext=(4, 4), textcoords="offset points", fontsize=8)
+        axes.annotate(
+            str(index), (place[right], place[up]), xytext=(4, 4), textcoords="offset points", fontsize=SMALL_PT
+        )
     title = f"{finger} from outside; hollow: dead" if finger else "from outside"
-    axes.set(title=title, xlabel=f"{'xyz'[right]} [mm]", ylabel=f"{'xyz'[up]} [mm]", aspect="equal")
+    axes.set(aspect="equal")
+    axes.set_xlabel(f"{'xyz'[right]} [mm]", fontsize=SMALL_PT)
+    axes.set_ylabel(f"{'xyz'[up]} [mm]", fontsize=SMALL_PT)
+    axes.set_title(title, fontsize=TEXT_PT)
+    axes.tick_params(labelsize=SMALL_PT)
     axes.margins(0.1)
     if (facing[depth] < 0.0) != (depth == 1):  # x and z are seen from -y
         axes.invert_xaxis()
@@ -189,18 +206,22 @@ def save_sensor_figure(sensor: Sensor, path: Path) -> Path:
     normals = sensor.layout.normals
     dead = {finger.name: list(finger.dead) for finger in config.fingers if finger.dead} or {"": []}
     panels = len(dead) + 1
-    figure = new_figure(5.5 * panels, 5.5)
+    figure = new_figure(PAGE_INCH / 2.0 * panels, 4.2)
+    figure.set_layout_engine("none")  # axes in space have no room for it
     space = figure.add_subplot(1, panels, panels, projection="3d")
     for number, (finger, indices) in enumerate(dead.items(), 1):
         _draw_flat(figure.add_subplot(1, panels, number), sensor, finger, indices)
     length = max(float(np.ptp(places, axis=0).max()), 1.0) / 8.0  # of a normal [mm]
-    space.scatter(*places.T)
+    space.scatter(*places.T, color=FINGER_COLOURS[1])
     space.scatter(*(places + length * normals).T, s=0.0)  # so that the axes reach there
     space.quiver(*places.T, *normals.T, length=length, color="grey")
     space.locator_params(axis="z", nbins=3)
-    space.set(title="outward normals", xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
-    space.set_box_aspect(np.ptp([space.get_xlim(), space.get_ylim(), space.get_zlim()], axis=1), zoom=0.75)
+    for set_label, axis in ((space.set_xlabel, "x"), (space.set_ylabel, "y"), (space.set_zlabel, "z")):
+        set_label(f"{axis} [mm]", fontsize=SMALL_PT)
+    space.set_title("outward normals", fontsize=TEXT_PT)
+    space.tick_params(labelsize=SMALL_PT)
+    space.set_box_aspect(np.ptp([space.get_xlim(), space.get_ylim(), space.get_zlim()], axis=1), zoom=0.85)
     values = ", ".join(f"{value.name} [{value.unit}]" for value in config.values)
     fingers = ", ".join(finger.name for finger in config.fingers)
-    figure.suptitle(f"{config.name}: {sensor.size} taxels with {values}, on {fingers}")
+    figure.suptitle(f"{config.name}: {sensor.size} taxels with {values}, on {fingers}", fontsize=TEXT_PT)
     return save(figure, path)

@@ -4,7 +4,7 @@
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -52,8 +52,9 @@ def draw_boxes(axes: Axes, boxes: Float64, part: str) -> None:
 
     for corners in boxes:
         outline = corners[ConvexHull(corners).vertices].T
-        axes.fill(*outline, facecolor=COLOURS[part], alpha=0.3, linewidth=0.0, zorder=4)
-        axes.fill(*outline, fill=False, edgecolor=COLOURS[part], linewidth=0.9, zorder=4)
+        style: dict[str, Any] = {"alpha": 0.12, "linewidth": 0.5} if part == PALM else {"alpha": 0.4, "linewidth": 0.9}
+        axes.fill(*outline, facecolor=COLOURS[part], **style | {"linewidth": 0.0}, zorder=4)
+        axes.fill(*outline, fill=False, edgecolor=COLOURS[part], **style | {"alpha": 1.0}, zorder=4)
 
 
 def draw_unseen(axes: Axes, seen: Float64, unseen: Float64) -> None:

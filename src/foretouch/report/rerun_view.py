@@ -192,10 +192,9 @@ class _Writer:
             names = sorted(step.objects, key=int)
             found = [(k, line) for k, name in enumerate(names) for line in outlines_of(step.labels == int(name))]
             colours = [OBJECT_COLOURS[k % len(OBJECT_COLOURS)] for k, _ in found]
-            drawn = rr.LineStrips2D(
-                [line for _, line in found], colors=_rgb(colours), labels=[names[k] for k, _ in found]
-            )
-            self._to.log("/image/objects", drawn)
+            self._to.log("/image/objects", rr.LineStrips2D([line for _, line in found], colors=_rgb(colours)))
+            middles = [np.median(np.argwhere(step.labels == int(name)), axis=0)[::-1] for name in names]
+            self._to.log("/image/objects/ids", rr.Points2D(middles, labels=names, radii=0.5))
         if step.grasp is not None:
             for part, edges in hand_lines(step.grasp).items():
                 lines = rr.LineStrips2D(pixels_of(cloud, edges), colors=_rgb([COLOURS[part]]), radii=0.5)
@@ -413,7 +412,7 @@ def save_screenshot(recording: Path, path: Path) -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = int(free.getsockname()[1])
-        command = [*_viewer(port), "--headless", "--window-size", "1600x1000", recording]
+        command = [*_viewer(port), "--headless", "--window-size", "1200x760", recording]
         with os.fdopen(open_own(printed, os.O_WRONLY), "wb") as output:
             viewer = subprocess.Popen(command, env=environment, stdout=output, stderr=output)  # noqa: S603  Rerun's own
         try:

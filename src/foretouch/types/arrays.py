@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final, Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ForetouchError, shown
+from foretouch.errors import ForetouchError, NoSuchRowError, shown
 
 AnyArray = npt.NDArray[Any]
 Bool = npt.NDArray[np.bool_]
@@ -216,13 +216,23 @@ class Columns:
         """Return names of the columns, in order."""
         return _names(cls)
 
+    def place_of(self, number: int) -> int:
+        """Return the place of a row, which counts from the end if it is negative; a `NoSuchRowError` if it is not there."""
+        count = len(self)
+        if not -count <= number < count:
+            there = f"they are 0 to {count - 1}" if count else "there are none"
+            raise NoSuchRowError(f"{type(self).__name__}[{number}]: is not one of the {count} rows; {there}")
+        return range(count)[number]
+
     def take(self, rows: Rows) -> Self:
-        """Select rows by a slice, a mask (K,) or indices."""
-        rows = rows if isinstance(rows, slice | np.ndarray) else np.asarray(rows, np.intp)
+        """Select rows by a slice, a mask (K,) or indices; a `NoSuchRowError` if one is not there."""
         parts = {name: getattr(self, name) for name in self.column_names()}
-        return self.replace(
-            **{name: part.take(rows) if isinstance(part, Columns) else part[rows] for name, part in parts.items()}
-        )
+        try:
+            rows = rows if isinstance(rows, slice | np.ndarray) else np.asarray(rows, np.intp)
+            taken = {name: part.take(rows) if isinstance(part, Columns) else part[rows] for name, part in parts.items()}
+        except (IndexError, TypeError, ValueError, OverflowError) as err:
+            raise NoSuchRowError(f"{type(self).__name__}[{shown(rows, 60)}]: selects no rows: {err}") from None
+        return self.replace(**taken)
 
     def put(self, rows: Rows, other: Self) -> Self:
         """Exchange rows, selected by a slice, a mask (K,) or indices, for all rows of another one."""

@@ -118,6 +118,11 @@ class Channels(Summarised):
             raise TactileError(f"modality: {none_of(unknown[0], self.modalities)}")
         return np.concatenate([np.empty(0, np.intp), *(self.modality_columns[name] for name in modalities)])
 
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of channels and modalities, which `part` takes."""
+        return (*(channel.name for channel in self.channels), *self.modalities)
+
     def part(self, values: _Floats, name: str) -> _Floats:
         """Return values of a channel or of a modality, from (..., D) values of a touch.
 
@@ -135,7 +140,7 @@ class Channels(Summarised):
             return values[..., self.modality_columns[name]]
         names = [channel.name for channel in self.channels]
         if name not in names:
-            raise TactileError(f"channel: {none_of(name, (*names, *self.modalities))}")
+            raise TactileError(f"channel: {none_of(name, self.part_names)}")
         columns = self.columns([f"{name}_{finger}" for finger in self.fingers])
         part = values[..., columns].reshape(*values.shape[:-1], len(self.fingers), len(columns) // len(self.fingers))
         return part[..., 0] if self.channels[names.index(name)].size == 1 else part

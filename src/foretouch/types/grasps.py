@@ -274,7 +274,8 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
     def __getitem__(self, rows: Rows) -> Self: ...
     def __getitem__(self, rows: int | Rows) -> Grasp | Self:
         if isinstance(rows, int | np.integer):
-            return Grasp(**{name: getattr(self, name)[rows] for name in self.column_names()})
+            row = self.place_of(rows)
+            return Grasp(**{name: getattr(self, name)[row] for name in self.column_names()})
         return self.take(rows)
 
     def __iter__(self) -> Iterator[Grasp]:

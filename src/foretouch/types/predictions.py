@@ -72,6 +72,9 @@ class Touch(Summarised):
             raise TactileError(f"touch: {', '.join(missing)} of {channels.sensor} is missing")
         return cls(values, channels)
 
+    def _instead(self, name: str) -> str:
+        return f'touch["{name}"]' if name in self.channels.part_names else super()._instead(name)
+
     def _summary(self) -> tuple[str, dict[str, str]]:
         return shown(self.channels.sensor, 60), {
             name: _range_text(self[name], channel) or "unknown" for name, channel in self.channels.channel_of.items()
@@ -160,6 +163,9 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
             if (shape := getattr(self, name).shape) != (len(self), size):
                 raise TactileError(f"{name}: shape {shape} is not ({len(self)}, {size}) of {self.channels.sensor}")
 
+    def _instead(self, name: str) -> str:
+        return f'predictions["{name}"]' if name in self.channels.part_names else super()._instead(name)
+
     def _summary(self) -> tuple[str, dict[str, str]]:
         return f"{counted(len(self), 'grasp')}: {tallied(self.status)}", {
             **_range_texts(self),
@@ -239,7 +245,7 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
     def __getitem__(self, rows: Rows) -> "Predictions": ...
     def __getitem__(self, rows: int | str | Rows) -> "Prediction | Predicted | Predictions":
         if isinstance(rows, int | np.integer):
-            return Prediction(self, range(len(self))[rows])
+            return Prediction(self, self.place_of(rows))
         if isinstance(rows, str):
             return Predicted(*(self.channels.part(end, rows) for end in (self.value, self.lower, self.upper)))
         return self.take(rows)
@@ -277,6 +283,9 @@ class Prediction(Summarised):
     def __getitem__(self, name: str) -> Predicted:
         """Return values and bounds of a channel, such as E: (F, N), or (F,) of a scalar; a `TactileError` names an unknown one."""
         return Predicted(*(self.channels.part(end.values, name) for end in (self.value, self.lower, self.upper)))
+
+    def _instead(self, name: str) -> str:
+        return f'prediction["{name}"]' if name in self.channels.part_names else super()._instead(name)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         touches = self.evidence.touches

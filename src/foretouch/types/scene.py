@@ -4,12 +4,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import NoneType
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import CloudError, shown
+from foretouch.errors import CallError, CloudError, shown
 from foretouch.types.arrays import Float32, Float64, Int32, Int64, numbers, require_types
 from foretouch.types.cloud import Cloud, Plane, require_cloud
 from foretouch.types.summary import Summarised, briefly, counted, names_of, tallied
@@ -196,6 +196,11 @@ class Scene(Summarised):
                 raise CloudError(f"{name}: holds {type(wrong[0]).__name__}, not Object")
         if self.labels.shape != self.cloud.shape:
             raise CloudError(f"labels: shape {self.labels.shape} is not {self.cloud.shape}, of the cloud")
+
+    if not TYPE_CHECKING:
+
+        def __getitem__(self, number: object) -> Object:
+            raise CallError(f"Scene[{shown(number, 60)}]: a scene has no elements; write scene.objects")
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         return f"{self.status}, {counted(len(self.objects), 'object')}", {

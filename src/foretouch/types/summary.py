@@ -2,25 +2,80 @@
 """How the public types are printed: a title and a few lines of facts, whatever they hold."""
 
 import html
+import inspect
+from abc import ABCMeta
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
-from typing import Any, Final
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import escaped, shown
+from foretouch.errors import UnknownAttributeError, check_call, checked, escaped, nearest, shown
 
 _LINES: Final = 9  # of facts
 _COLUMNS: Final = 100
 _NAMES: Final = 6  # of a list
 
+_INSTEAD: Final = {
+    ("Cloud", "points"): "cloud.xyz", ("Cloud", "colors"): "cloud.rgb", ("Object", "points"): "object.cloud.xyz",
+    ("Object", "mask"): "scene.labels == int(object.id)", ("Object", "center"): "object.centroid",
+    ("Prediction", "values"): "prediction.value.values", ("Predictions", "values"): "predictions.value",
+}  # fmt: skip
+"""What users may look for, by type and name, and what it is called."""
+
 _Facts = Mapping[str, Any]
 
 
-class Summarised:
-    """Base of types that are printed as a summary. By default it lists the fields of a dataclass."""
+class _CheckedType(ABCMeta):
+    """Type whose instances are made by its own arguments alone; others are a `CallError`."""
+
+    if not TYPE_CHECKING:
+
+        def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+            try:
+                return super().__call__(*args, **kwargs)
+            except TypeError:
+                check_call(cls.__init__, (cls, *args), kwargs)
+                raise
+
+        @property
+        def __signature__(cls) -> inspect.Signature:
+            signature = inspect.signature(cls.__init__)
+            return signature.replace(parameters=list(signature.parameters.values())[1:])
+
+
+class Summarised(metaclass=_CheckedType):
+    """Base of public types: they are printed as a summary, and refuse wrong calls and unknown names in one line of foretouch.
+
+    By default the summary lists the fields of a dataclass.
+    """
+
+    __slots__ = ()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name, method in list(vars(cls).items()):
+            if isinstance(method, classmethod) and not name.startswith("_"):
+                setattr(cls, name, classmethod(checked(method.__func__)))
+            elif isinstance(method, FunctionType) and not name.startswith("_"):
+                setattr(cls, name, checked(method))
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            if name.startswith("_"):  # what Python and libraries ask for
+                raise AttributeError(f"{type(self).__name__} has no {name}")
+            known = [each for each in dir(self) if not each.startswith("_")]
+            meant = self._instead(name)
+            cure = f"; write {meant}" if meant else nearest(name, known) or f"; there are {', '.join(known)}"
+            raise UnknownAttributeError(f"{type(self).__name__}: has no {name}{cure}")
+
+    def _instead(self, name: str) -> str:
+        """Return what to write in place of an attribute that is not there; "" where nothing is known."""
+        return next(filter(None, (_INSTEAD.get((kind.__name__, name), "") for kind in type(self).__mro__)), "")
 
     def _summary(self) -> tuple[str, _Facts]:
         """Return the title, and facts by name; one that is "" or None is left out."""

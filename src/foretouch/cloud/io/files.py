@@ -17,7 +17,7 @@ from foretouch.cloud.io.arrays import array_names, read_array, read_arrays
 from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.images import IMAGE_SUFFIXES, read_image
 from foretouch.cloud.io.point_files import pcd_bytes, ply_bytes, read_pcd, read_ply
-from foretouch.errors import CloudError, FileError
+from foretouch.errors import CloudError, FileError, checked
 from foretouch.types import AnyArray, Cloud, Float32
 
 _OPTIONAL: Final = ("rgb", "frame_id", "stamp_ns")
@@ -38,6 +38,7 @@ _POINT_WIDTH: Final = 8  # numbers of a point in a table
 _FRAME_LIMIT: Final = 256  # characters of a frame's name
 
 
+@checked
 def read_cloud(path: str | Path, camera: DepthCamera | None = None, *, color: str | Path | None = None) -> Cloud:
     """Read a cloud, or the depth image of a camera as a cloud.
 
@@ -77,6 +78,7 @@ def read_cloud(path: str | Path, camera: DepthCamera | None = None, *, color: st
     return replace(cloud, xyz=np.where(at_sensor[..., None], np.float32(np.nan), cloud.xyz))
 
 
+@checked
 def write_cloud(path: str | Path, cloud: Cloud) -> None:
     """Write a cloud; an existing file is replaced.
 

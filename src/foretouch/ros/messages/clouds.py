@@ -15,9 +15,10 @@ from std_msgs.msg import Header
 from foretouch.camera.stream import DepthFrame
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import join_objects
+from foretouch.report.overlay import marked
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.ros.messages.placement import Placement
-from foretouch.types import AnyArray, Cloud, Float64, UInt8
+from foretouch.types import AnyArray, Cloud, Float64, Grasp, UInt8
 from foretouch.types.camera import MODELS
 from foretouch.types.cloud import DepthCloud
 from foretouch.types.scene import Object, Scene
@@ -100,10 +101,10 @@ def labels_to_msg(scene: Scene, header: Header) -> Image:
     return _image(header, labels.astype("<u2"), "16UC1")
 
 
-def overlay_to_msg(scene: Scene, header: Header) -> Image:
-    """Draw the objects over the image, rgb8: targets in full colour, others paler, outlined; by its colours, or the brighter the nearer.
+def overlay_to_msg(scene: Scene, header: Header, grasp: Grasp | None = None) -> Image:
+    """Draw the objects with their ids over the image, rgb8, and a grasp with its hand, if there is one.
 
-    Of an image that is wider than 480 pixels, every second, third, ... row and column is drawn: it is to be looked at.
+    Targets have their full colour, others are paler. The image has its colours, or is the brighter the nearer. Of an image that is wider than 480 pixels, every second, third, ... row and column is drawn: it is to be looked at.
     """
     labels = np.atleast_2d(scene.labels)
     shape, step = labels.shape, -(-labels.shape[1] // _WIDEST)
@@ -121,7 +122,7 @@ def overlay_to_msg(scene: Scene, header: Header) -> Image:
     border = np.flatnonzero(_borders(labels))
     flat[pixels] = ((255 - shares) * flat[pixels] + shares * _OBJECT_RGB[ids % len(_OBJECT_RGB)]) // 255
     flat[border] = _OBJECT_RGB[labels.reshape(-1)[border] % len(_OBJECT_RGB)]
-    return _image(header, drawn, "rgb8")
+    return _image(header, marked(drawn, scene, step, grasp), "rgb8")
 
 
 def _borders(labels: AnyArray) -> AnyArray:

@@ -5,6 +5,7 @@ The answer to a cloud is four steps: message to arrays, the pipeline, arrays to 
 and `touch_predictor` run one step each, for who replaces another step by a node of another package.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -25,7 +26,7 @@ from foretouch.ros.messages.requests import (
     status_code,
 )
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
-from foretouch.ros.runtime.processing_node import Answer, Input, ProcessingConfig, ProcessingNode, Published
+from foretouch.ros.runtime.processing_node import Answer, Input, ProcessingConfig, ProcessingNode, Published, Step
 from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.steps.camera_input import CameraInput, CameraInputSettings
 from foretouch.ros.steps.frames import Frames
@@ -79,12 +80,15 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
 
     def _answer(self, item: Input) -> Answer:
         header, planner, touch = item.header, self._planner, self._touch
-        targets, status, reason, publish = self._seen(item)
+        targets, status, reason, of_scene = self._seen(item)
+        publish: list[Published] = [*of_scene]
         touch.latest = targets if targets.objects else targets._replace(refusal=RefusalError(status, reason))
         if not targets.objects:
             publish += [(step, partial(step.refuse, header, status, reason)) for step in (planner, touch)]
             return Answer(status, reason, publish)
         grasps, plans = planner.plan(targets.objects, header, reason)
+        first = next((plan.grasps[0] for plan in plans if len(plan.grasps)), None)
+        publish = [(step, partial(call, grasp=first)) for step, call in of_scene]  # of the scene, which shows it
         publish.append((planner, partial(planner.publish, grasps, targets.answered_in)))
         if grasps.grasps:
             answer = touch.answer_plans(targets.objects, plans, grasps)
@@ -95,7 +99,7 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
             publish.append((touch, partial(touch.refuse, header, status, reason)))
         return Answer(status, reason, publish)
 
-    def _seen(self, item: Input) -> tuple[Targets, int, str, list[Published]]:
+    def _seen(self, item: Input) -> tuple[Targets, int, str, list[tuple[Step, Callable[..., object]]]]:
         """Return the targets of an input, status and reason where there are none, and what is published of the scene."""
         header = item.header
         if self.config.input == "objects":

@@ -119,7 +119,7 @@ class SessionCheck:
             self._rate(
                 "hand",
                 _HAND_SHARE * self._reader.sensor.config.update_rate,
-                "is the driver running, and tactile_topic its topic?",
+                "is the driver running, and tactile_topic its topic? Else lower the computer's load",
             ),
             self._clock("hand", _HAND_OFFSET_S),
             self._rate("camera", _CAMERA_HZ, "raise its frame rate, or lower its resolution or the computer's load"),

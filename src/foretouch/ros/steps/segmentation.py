@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -47,7 +48,7 @@ from foretouch.ros.steps.frames import FrameSettings
 from foretouch.ros.steps.grasping import stream_config
 from foretouch.stream import Stream
 from foretouch.topics import CLOUD_TOPIC
-from foretouch.types import AnyArray, Cloud, stamp_ns
+from foretouch.types import AnyArray, Cloud, Grasp, stamp_ns
 from foretouch.types.scene import Object, Scene
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 
@@ -179,7 +180,9 @@ class SegmentationSettings(SelectionSettings, FrameSettings):
         False, "Whether labels is offered: the object of each pixel as sensor_msgs/Image, 16UC1", read_only=True
     )
     publish_overlay: bool = setting(
-        False, "Whether overlay is offered: the image with the objects in colours, rgb8", read_only=True
+        False,
+        "Whether overlay is offered: the image with the objects in colours, their ids and the first grasp, rgb8",
+        read_only=True,
     )
 
     segmentation: SegmentationConfig = SegmentationConfig()
@@ -237,16 +240,17 @@ class SegmentationStep(Step):
         self._selection.take_click(scene)
         return self._stream.with_target(scene)
 
-    def publish(self, header: Header, scene: Scene, placement: Placement) -> None:
+    def publish(self, header: Header, scene: Scene, placement: Placement, grasp: Grasp | None = None) -> None:
         """Publish a scene for those who subscribe.
 
         Args:
             header: Of the cloud.
             scene: Found in it.
             placement: Of the objects; table, points, images and markers are in the frame of the cloud.
+            grasp: The first one that was planned, for the overlay; None without.
         """
         self._publish_detections(scene.objects, placement)
-        for images, make in ((self._labels, labels_to_msg), (self._overlay, overlay_to_msg)):
+        for images, make in ((self._labels, labels_to_msg), (self._overlay, partial(overlay_to_msg, grasp=grasp))):
             if images is not None and images.get_subscription_count():
                 images.publish(make(scene, header))
         table = self._publish_table(header, scene)
