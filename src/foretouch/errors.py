@@ -8,7 +8,6 @@ the command line can print it unchanged.
 from __future__ import annotations
 
 import difflib
-import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
@@ -117,21 +116,23 @@ class NoSuchRowError(ForetouchError, IndexError):
 
 
 def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Let a function refuse a call with other arguments than its own by a `CallError`; its other errors are as they are."""
+    """Let a function refuse a call with other arguments than its own by a `CallError`, which shows how it is called."""
 
     @wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         try:
             return function(*args, **kwargs)
         except TypeError:
-            check_call(function, args, kwargs)
+            _check_call(function, args, kwargs)
             raise
 
     return call
 
 
-def check_call(function: Callable[..., Any], args: Sequence[Any], given: Mapping[str, Any]) -> None:
-    """Refuse a call whose arguments are not those of a function or class; a `CallError` shows how it is called."""
+def _check_call(function: Callable[..., Any], args: Sequence[Any], given: Mapping[str, Any]) -> None:
+    """Refuse arguments that a function does not take."""
+    import inspect  # takes as long to import as all of foretouch
+
     signature, name = inspect.signature(function), function.__qualname__.removesuffix(".__init__")
     try:
         signature.bind(*args, **given)

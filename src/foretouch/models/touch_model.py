@@ -28,6 +28,7 @@ from foretouch.errors import (
     ForetouchError,
     ModelError,
     TactileError,
+    checked,
     described,
     require_type,
     shown,
@@ -175,6 +176,7 @@ class TouchModel(Summarised):
         """
         return SensorTracker(self._calibrated().tracker_parameters)
 
+    @checked
     def predict(
         self,
         cloud: Cloud | Object,
@@ -513,6 +515,7 @@ class History(Summarised):
         restarts: How often each finger was restarted, since its readings showed a jump or another sensor.
     """
 
+    @checked
     def __init__(self, model: TouchModel) -> None:
         require_type(model, TouchModel, "model", _NO_MODEL, ModelError)
         self.model = model
@@ -539,6 +542,7 @@ class History(Summarised):
         """Touches of the current object."""
         return self.tracker.touches
 
+    @checked
     def tare(self, reading: Touch, *, stamp_ns: int | None = None, tdc: Float64 | None = None) -> tuple[str, ...]:
         """Add a reading without contact. One within a minute of the last is left out, since their errors are the same.
 
@@ -562,6 +566,7 @@ class History(Summarised):
         self._tare_ns, self._tared = stamp_ns, True
         return self._counted(restarted)
 
+    @checked
     def touched(
         self,
         target: Cloud | Object,
@@ -609,6 +614,7 @@ class History(Summarised):
         self._tared = False
         return self._counted(restarted)
 
+    @checked
     def predict(
         self,
         target: Cloud | Object,

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import CloudError, quoted, require_type, shown
+from foretouch.errors import CloudError, checked, quoted, require_type, shown
 from foretouch.kernels import struct
 from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8, numbers, scalar, unmasked
 from foretouch.types.camera import CameraModel, DepthImage, as_image, check_image
@@ -59,6 +59,7 @@ class Cloud(Summarised):
             raise CloudError(f"camera: {self.camera.shape} is not the size of the image, {self.xyz.shape[:-1]}")
 
     @classmethod
+    @checked
     def from_depth(
         cls,
         depth: AnyArray,

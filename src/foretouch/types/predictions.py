@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final, Literal, NamedTuple, Self, overload
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ForetouchError, TactileError, require_type, shown
+from foretouch.errors import ForetouchError, TactileError, checked, require_type, shown
 from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain
 from foretouch.types.channels import NO_CHANNELS, Channel, Channels
 from foretouch.types.grasps import Grasp, Grasps
@@ -47,6 +47,7 @@ class Touch(Summarised):
         object.__setattr__(self, "values", values)
 
     @classmethod
+    @checked
     def of(cls, channels: Channels, /, **parts: npt.ArrayLike) -> Self:
         """Make a reading of named parts, so that no order of values has to be known.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import CallError, CloudError, shown
+from foretouch.errors import CallError, CloudError, checked, shown
 from foretouch.types.arrays import Float32, Float64, Int32, Int64, numbers, require_types
 from foretouch.types.cloud import Cloud, Plane, require_cloud
 from foretouch.types.summary import Summarised, briefly, counted, names_of, tallied
@@ -212,6 +212,7 @@ class Scene(Summarised):
             "background": tallied(one.background for one in self.background),
         }
 
+    @checked
     def at(self, u: int, v: int) -> Object:
         """Return the object at a pixel.
 
@@ -243,6 +244,7 @@ class Scene(Summarised):
             where = "the table"
         raise CloudError(f"pixel: ({u}, {v}) is {where}; the objects are {', '.join(known) or 'none'}")
 
+    @checked
     def near(self, point: npt.ArrayLike, tolerance_m: float = NEAR_M) -> Object:
         """Return the object with the point that is nearest to a position.
 

@@ -2,18 +2,15 @@
 """How the public types are printed: a title and a few lines of facts, whatever they hold."""
 
 import html
-import inspect
-from abc import ABCMeta
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
-from types import FunctionType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import UnknownAttributeError, check_call, checked, escaped, nearest, shown
+from foretouch.errors import UnknownAttributeError, escaped, nearest, shown
 
 _LINES: Final = 9  # of facts
 _COLUMNS: Final = 100
@@ -29,39 +26,13 @@ _INSTEAD: Final = {
 _Facts = Mapping[str, Any]
 
 
-class _CheckedType(ABCMeta):
-    """Type whose instances are made by its own arguments alone; others are a `CallError`."""
-
-    if not TYPE_CHECKING:
-
-        def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-            try:
-                return super().__call__(*args, **kwargs)
-            except TypeError:
-                check_call(cls.__init__, (cls, *args), kwargs)
-                raise
-
-        @property
-        def __signature__(cls) -> inspect.Signature:
-            signature = inspect.signature(cls.__init__)
-            return signature.replace(parameters=list(signature.parameters.values())[1:])
-
-
-class Summarised(metaclass=_CheckedType):
-    """Base of public types: they are printed as a summary, and refuse wrong calls and unknown names in one line of foretouch.
+class Summarised:
+    """Base of public types: they are printed as a summary, and refuse unknown names in one line with a cure.
 
     By default the summary lists the fields of a dataclass.
     """
 
     __slots__ = ()
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        for name, method in list(vars(cls).items()):
-            if isinstance(method, classmethod) and not name.startswith("_"):
-                setattr(cls, name, classmethod(checked(method.__func__)))
-            elif isinstance(method, FunctionType) and not name.startswith("_"):
-                setattr(cls, name, checked(method))
 
     if not TYPE_CHECKING:
 
