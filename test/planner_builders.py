@@ -13,11 +13,11 @@ from foretouch_msgs.srv import PredictTouch
 
 
 def a_target(scene_cloud):
-    """One object of a scene, on which ten pairs rank."""
+    """One object of a scene, on which nine pairs rank, or more."""
     return Pipeline().segment(scene_cloud(n_objects=3, width=848)).targets[0]
 
 
-def ten_grasps(target):
+def many_grasps(target):
     return Pipeline(PipelineConfig(grasp=GeoGraspConfig(count=10))).plan(target).grasps
 
 

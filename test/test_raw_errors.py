@@ -149,7 +149,6 @@ CURES: dict[str, tuple[Callable[[Any], object], str]] = {
     "history.touched of two": (lambda v: ft.History(v.model).touched(v.scene.objects[0], v.grasps[0]), "reading"),
     "history.tare of nothing": (lambda v: ft.History(v.model).tare(), "History.tare(reading"),
     "history.append": (lambda v: ft.History(v.model).append(1), "touched"),
-    "predict of an object": (lambda v: v.model.predict(v.scene.objects[0]), "TouchModel.predict(cloud, grasps"),
     "plan of a scene": (lambda v: ft.plan(v.scene), "segment(cloud).objects[0]"),
     "plan of nothing": (lambda _: ft.plan(), "plan(target"),
     "plan(counts=)": (lambda v: ft.plan(v.scene.objects[0], counts=3), "did you mean count?"),

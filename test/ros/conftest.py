@@ -71,7 +71,6 @@ class Graph:
     """
 
     def __init__(self, *, alone: bool = False) -> None:
-        gc.freeze()  # the collection at the end looks at what the test made alone, not at all that is loaded
         self._alone = alone
         self.domain = open_domain(new=alone)
         self.probe = Node("probe", namespace="/foretouch")
@@ -258,6 +257,13 @@ def _parameters(values: dict[str, Any]) -> list[Parameter]:
 
 def _profile(*, reliable: bool) -> QoSProfile:
     return QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _frozen() -> None:
+    """Let the collections after tests look at what the tests of the module made alone, not at all that is loaded."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

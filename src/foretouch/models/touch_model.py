@@ -176,7 +176,6 @@ class TouchModel(Summarised):
         """
         return SensorTracker(self._calibrated().tracker_parameters)
 
-    @checked
     def predict(
         self,
         cloud: Cloud | Object,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticStatus
-from planner_builders import Planner, a_target, ten_grasps
+from planner_builders import Planner, a_target, many_grasps
 from sensor_msgs.msg import PointCloud2
 
 from foretouch import reading
@@ -27,7 +27,7 @@ def target(scene_cloud):
 
 @pytest.fixture(scope="module")
 def grasps(target):
-    return ten_grasps(target)
+    return many_grasps(target)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from every_case import every_case
 from geometry_msgs.msg import Point, Quaternion
-from planner_builders import Planner, a_target, oriented, ten_grasps, without_orientation
+from planner_builders import Planner, a_target, oriented, many_grasps, without_orientation
 from sensor_msgs.msg import PointCloud2
 
 from foretouch import reading
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.ros
 @pytest.fixture(scope="module")
 def planner(module_graph, scene_cloud, model_card):
     target = a_target(scene_cloud)
-    return Planner(module_graph, target, ten_grasps(target), model=model_card)
+    return Planner(module_graph, target, many_grasps(target), model=model_card)
 
 
 def test_grasps_are_answered_in_order_with_the_models_numbers_and_posed_if_need_be(planner, model_card):
@@ -131,11 +131,15 @@ def test_arrays_are_answered_with_the_numbers_of_messages_and_with_the_orientati
             for name in (*message.scalar_channels, *message.channels):
                 for many, one in zip(found[name], reading(message)[name], strict=True):
                     np.testing.assert_array_equal(many[k], one)
-            names = [name for name, has in zip(batch.flags, np.reshape(batch.flagged, (10, -1))[k], strict=True) if has]
+            names = [
+                name
+                for name, has in zip(batch.flags, np.reshape(batch.flagged, (len(messages), -1))[k], strict=True)
+                if has
+            ]
             own = set(message.grasp.flags)  # of the planner, which arrays do not bring
             assert sorted(names) == sorted(set(message.flags) - own)
         rotations = np.reshape(batch.rotations, (-1, 9))
-        assert len(rotations) == (0 if turned else 10)
+        assert len(rotations) == (0 if turned else len(messages))
         for rotation, message in zip(rotations, messages, strict=False):
             np.testing.assert_array_equal(rotation, message.grasp.rotation if message.status == Status.OK else rotation)
         assert batch.statuses[2] == Status.BAD_GRASP
