@@ -9,7 +9,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from every_case import every_case
 from geometry_msgs.msg import Point, Quaternion
-from planner_builders import Planner, a_target, oriented, many_grasps, without_orientation
+from planner_builders import Planner, a_target, many_grasps, oriented, without_orientation
 from sensor_msgs.msg import PointCloud2
 
 from foretouch import reading
