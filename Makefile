@@ -8,8 +8,8 @@ CONSTRAINTS := -c constraints.txt -c constraints-$(ROS).txt
 BIN := $(VENV)/bin
 CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/foretouch
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
-# Says what it downloads and installs: a loaded machine or a slow network takes many minutes. Most modules are never imported, so none is compiled.
-INSTALL := $(BIN)/pip --disable-pip-version-check install --no-compile
+# Says what it downloads and installs: a loaded machine or a slow network takes many minutes.
+INSTALL := $(BIN)/pip --disable-pip-version-check install
 
 # The messages take a compiler and most of a minute: their wheel is built once for each content and Python, and kept.
 MESSAGE_FILES := $(sort $(shell find foretouch_msgs -type f -not -name '*.pyc'))
@@ -19,6 +19,9 @@ MESSAGE_WHEEL := $(CACHE)/foretouch_msgs-$(MESSAGE_KEY)
 # Two cores are enough for everything; more threads than cores only make the small matrices slower.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+
+# Where an environment forbids to keep compiled modules, each of the processes that tests start would compile foretouch anew.
+export PYTHONDONTWRITEBYTECODE :=
 
 # Tests find memory filled with a pattern where it was not initialised, so that what depends on it fails everywhere.
 test test-ros test-portable check coverage: export MALLOC_PERTURB_ ?= 170
