@@ -50,6 +50,7 @@ def fuzz(change: Callable[[Draw], Callable[[], object]], usual: int, weight: flo
     check()
 
 
+@pytest.mark.slow
 def test_a_changed_file_is_read_as_it_was_written_or_refused_and_no_file_outside_is_changed(tmp_path: Path) -> None:
     def check(name: str) -> None:
         (tmp_path / name).mkdir()

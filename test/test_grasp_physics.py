@@ -142,6 +142,7 @@ def test_a_folder_of_objects_is_read_or_refused_by_name(tmp_path) -> None:
     np.testing.assert_allclose(item.mesh.extents, (0.06, 0.10, 0.12))
 
 
+@pytest.mark.slow
 def test_three_objects_stand_close_together_and_apart() -> None:
     for number in range(4):
         stand = huddle(list(SOLIDS.values()), number)

@@ -186,6 +186,7 @@ def required(*extras: str | None) -> dict[str, Requirement]:
     return {IMPORT_NAMES.get(one.name, one.name.replace("-", "_")): one for one in kept}
 
 
+@pytest.mark.slow
 def test_the_metadata_and_package_xml_require_what_is_imported() -> None:
     ros = {name.removeprefix("ros_jazzy_") for name in required("ros")}
     assert ros == {name.removeprefix("ros_") for name in required("kilted")}

@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from calibrated_models import make_calibration
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
@@ -36,6 +37,7 @@ def test_no_later_grasp_changes_an_earlier_prediction() -> None:
     assert not np.array_equal(other[13:16], whole[13:16])
 
 
+@pytest.mark.slow
 def test_rows_and_tables_are_those_of_the_cells() -> None:
     samples = [
         replace(sample, touch=biotac_touch(sample.touch.values + 5.0 * np.sin(k + np.arange(50))))

@@ -48,6 +48,7 @@ def test_first_touches_of_grasps_without_a_time_are_refused_before_anything_runs
     assert not (tmp_path / "none" / "results.csv").exists()
 
 
+@pytest.mark.slow
 def test_mistakes_are_one_line(call, words) -> None:
     call("benchmark", "tuoch", *words[2:]).check_refused("'tuoch' is not one of touch; did you mean touch?")
     call(*words, "--model", "clock").check_refused("models: clock is a baseline, which is scored anyway")

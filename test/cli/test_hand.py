@@ -10,6 +10,7 @@ from foretouch.cli.main import main
 from foretouch.grasp.hand import hand_files
 
 
+@pytest.mark.slow
 def test_list_check_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["hand", "list", "--json"]) == 0
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]

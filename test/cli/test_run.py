@@ -79,6 +79,7 @@ def started(environment: dict[str, str], *words: object, command: str = "run") -
         yield process
 
 
+@pytest.mark.slow
 def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path, environment) -> None:
     picture = tmp_path / "touch.png"
     status, lines, err = run(

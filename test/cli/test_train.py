@@ -77,6 +77,7 @@ def test_errors_are_one_line_and_so_is_an_unfinished_run(call, simulated, tmp_pa
     assert f"{tmp_path}: is an unfinished run" in record["reason"]
 
 
+@pytest.mark.slow
 def test_a_run_is_used_as_its_card(call, run, simulated, files) -> None:
     (record,) = call("models", run, "--json").records
     assert (record["status"], record["name"], record["sha256"]) == ("ok", "tiny", load_model(run).sha256)
@@ -90,6 +91,7 @@ def test_a_run_is_used_as_its_card(call, run, simulated, files) -> None:
     assert (scored["model"], scored["scored"]) == (str(run), "training_samples")
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_released_models_recognise_their_training_data_in_a_rebuilt_store(call, real_data, tmp_path) -> None:
     assert call("dataset", "import", real_data / "vision2tactile", "-o", tmp_path / "imported").status == 0

@@ -69,6 +69,7 @@ def around(camera: Camera) -> Obstacles:
     return Obstacles(camera.to_camera(posts).astype(np.float32), np.arange(len(posts), dtype=np.int32))
 
 
+@pytest.mark.slow
 def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
     """Equal but where a point at the border of two bins falls into the other by rounding; with noise few do."""
     blocked = n_hidden = 0

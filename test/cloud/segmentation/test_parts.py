@@ -165,6 +165,7 @@ def test_without_a_table_or_with_two_or_its_edge_before_the_objects() -> None:
             assert min(_iou(found, truth)) > 0.85, name
 
 
+@pytest.mark.slow
 def test_the_kernel_finds_the_parts_of_its_reference(monkeypatch: pytest.MonkeyPatch) -> None:
     config = SegmentationConfig()
     handle: _Box = ((0.08, 0.0, 0.02), (0.093, 0.015, 0.04))

@@ -128,6 +128,7 @@ def test_a_clean_file_and_a_sample_of_another_version_are_left_alone_and_origina
     assert file.read_bytes() == changed
 
 
+@pytest.mark.slow
 def test_every_flipped_bit_is_found_and_costs_at_most_the_sample_in_whose_chunk_it_is(
     file: Path, rng: np.random.Generator
 ) -> None:

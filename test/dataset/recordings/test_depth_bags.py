@@ -78,6 +78,7 @@ def test_a_recording_with_one_depth_topic_just_works(tmp_path: Path, form: str, 
         assert np.isnan(cloud.xyz[number]).all()
 
 
+@pytest.mark.slow
 def test_depth_images_are_read_from_any_storage_also_from_a_file_that_is_cut_off(tmp_path: Path) -> None:
     expected = [Cloud.from_depth(pixels(k), camera_model(small_info())).xyz for k in range(9)]
     sent = [(INFO, STAMP_NS - 1, small_info()), *frames(count=9)]

@@ -215,6 +215,7 @@ def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature(monkeypatch
     assert (tdc[grasp.release] < tdc[0]).all()
 
 
+@pytest.mark.slow
 def test_temperature_improves_electrodes_before_the_first_touch(rng, monkeypatch) -> None:
     """On a campaign that the tracker was not fitted to; without a temperature, nothing changes to the bit."""
     days = {"days": list(range(40)), "objects": 1, "grasps": 2, "tares": "none"}

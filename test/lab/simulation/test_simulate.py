@@ -47,6 +47,7 @@ def test_samples_are_whole_and_come_in_order_with_their_objects_in_turn() -> Non
         assert sample.extra["force_th_n"] == pytest.approx(sample.extra["force_mf_n"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_same_samples_on_one_worker_and_on_two_and_in_a_longer_run() -> None:
     config = scene(*LOADED, **FULL)
     single, spread = Simulation(config), Simulation(config)

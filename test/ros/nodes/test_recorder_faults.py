@@ -30,6 +30,7 @@ def begin(graph, path):
     return graph.call(StartRecording, "start_recording", StartRecording.Request(path=str(path)))
 
 
+@pytest.mark.slow
 def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set", pairing__wait_s=0.5)
     robot.record("before", 0)

@@ -303,6 +303,7 @@ def test_a_clock_that_was_set_back_is_reported_once(card):
     assert hand.keeper.history.tracker.evidence(hand.now).readings == 4
 
 
+@pytest.mark.slow
 def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(graph, card, model_card):
     (node,) = graph.add("touch_predictor", model=card, tactile__type="std_msgs/String")
     lines = graph.talk_matched(String, "/rh/tactile")

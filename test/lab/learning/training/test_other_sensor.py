@@ -74,6 +74,7 @@ def test_a_rest_level_that_was_not_read_is_on_the_side_that_contact_leaves(sampl
         assert_array_equal(rest[columns], np.quantile(labels[:, columns], share, axis=0), err_msg=name)
 
 
+@pytest.mark.slow
 def test_forces_in_newtons_whose_taxels_mostly_read_zero_are_learned_and_have_narrow_intervals(tmp_path) -> None:
     force = {"name": "normal", "field": "values", "unit": "N", "contact": "rise", "rest": "zero", "range": [0.0, 50.0]}
     array = {"rows": 3, "cols": 3, "size": [0.001, 0.001]}

@@ -119,6 +119,7 @@ def test_an_evaluation_leaves_out_the_samples_that_the_model_was_trained_on(data
         evaluate_model(card, data, "random", baselines={})
 
 
+@pytest.mark.slow
 def test_a_contact_model_has_intervals_and_one_object_alone_no_calibration(data, tmp_path) -> None:
     said: list[dict] = []
     part = data.parts("object")[0].name

@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from calibrated_models import REST
 from numpy.testing import assert_array_equal
 
@@ -83,6 +84,7 @@ def placed(rng: np.random.Generator, recording: TimedReadings) -> TimedReadings:
     return replace(recording, readings=recording.readings + 60.0 * np.sin(where[:, :1] + phase), where=where)
 
 
+@pytest.mark.slow
 def test_the_fit_finds_what_places_say_and_nothing_in_others(rng) -> None:
     """Shuffled within the objects, the same features say nothing: neither the fit nor the predictions take them up."""
     first, second = (placed(rng, campaign(rng, 0.0, objects=8, each=16)) for _ in range(2))
