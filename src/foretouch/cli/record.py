@@ -222,7 +222,8 @@ def _check(node: RecorderNode, *, as_json: bool) -> list[CheckFinding]:
     from foretouch.ros.sessions.check import CheckFeed, SessionCheck
 
     assert node.inputs is not None  # noqa: S101  an active node has them
-    config, findings = node.config, list[CheckFinding]()
+    config = node.config
+    findings: list[CheckFinding] = []
     check = SessionCheck(config.tactile.fingers, node.reader)
     feed = CheckFeed(check, node.inputs, node.reader)
 

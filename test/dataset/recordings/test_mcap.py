@@ -103,7 +103,7 @@ BARE = dict.fromkeys(
 )
 
 
-@pytest.mark.parametrize("cuts", [3, pytest.param(200, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])])
+@pytest.mark.parametrize("cuts", [3, pytest.param(50, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])])
 def test_a_cut_anywhere_keeps_every_message_in_front_of_it(tmp_path: Path, cuts: int) -> None:
     rng = random.Random(5)
 
@@ -225,12 +225,12 @@ def test_a_bomb_takes_no_more_memory_than_it_states(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("compression", ["", "zstd"])
-def test_two_hundred_cuts_of_a_bag(tmp_path: Path, compression: str) -> None:
+def test_fifty_cuts_of_a_bag(tmp_path: Path, compression: str) -> None:
     """Chunks of rosbags end at 1 MiB, so that the texts are longer, and have no checksum."""
     noise = random.Random(compression)
     texts = [f"{k:03d} " + "".join(noise.choices("0123456789abcdef", k=200_000)) for k in range(18)]
     write_strings(tmp_path / "good.mcap", texts, Parts(writer="rosbags", compression=compression))
     good = (tmp_path / "good.mcap").read_bytes()
     (tmp_path / "good.mcap").unlink()
-    for _ in range(200):
+    for _ in range(50):
         cut_and_check(good, noise.randrange(len(good)), tmp_path, texts)
