@@ -15,6 +15,7 @@ import numpy as np
 
 from foretouch.report.panels import FAINT, INK, PAGE_INCH, SMALL_PT, TEXT_PT, Axes, new_figure, save_small
 from foretouch_lab.experiments.framework.manifest import read_results
+from foretouch_lab.experiments.framework.tradeoff import late_time
 
 DOCS: Final = Path(__file__).parent
 BUDGETS_MS: Final = (5.0, 10.0, 30.0, 100.0)
@@ -35,21 +36,16 @@ def publish(source: Path) -> None:
             shutil.copyfile(table.parent / name, folder / name)
 
 
-def late(rows: Rows) -> str:
-    """Return the column of the time that is met by 95 of 100 calls: of the wall, or of the processor where a machine was loaded."""
-    return "ms_p95" if all(row["state"] == "idle" for row in rows) else "cpu_ms_p95"
-
-
 def best_within(rows: Rows, budget_ms: float) -> dict[str, Any] | None:
-    """Return the row with the largest product of those within a time; None if there is none."""
-    fitting = [row for row in rows if row[late(rows)] <= budget_ms]
+    """Return the row with the largest product among the rows that take no longer than a time, or None."""
+    fitting = [row for row in rows if row[late_time(rows)] <= budget_ms]
     return max(fitting, key=lambda row: row["chain"], default=None)
 
 
 def grasps_within(rows: Rows, budget_ms: float) -> int:
     """Return how many grasps the default model predicts within a time, between the sizes that were measured; 0 for none."""
     own = sorted((row for row in rows if row["variant"] == _MODEL), key=lambda row: row["request"])
-    column = late(own) if own[0].get("cpu_ms_p95") or late(own) == "ms_p95" else "cpu_ms"
+    column = late_time(own)
     times, sizes = (np.log([row[name] for row in own]) for name in (column, "request"))
     if np.log(budget_ms) < times[0]:
         return 0
@@ -64,7 +60,7 @@ def draw(folder: Path) -> Path:
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     _draw_chain(left, chain)
     _draw_grasps(right, model)
-    kind = "95 of 100 calls" if late(chain) == "ms_p95" else "processor time, 95 of 100 calls (loaded machine)"
+    kind = "95 of 100 calls" if late_time(chain) == "ms_p95" else "processor time, 95 of 100 calls (loaded machine)"
     figure.supxlabel(f"time [ms], {kind}, one thread", fontsize=TEXT_PT)
     return save_small(figure, folder / "budget.png")
 

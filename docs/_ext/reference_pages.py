@@ -480,7 +480,7 @@ def tradeoff_versions() -> str:
 
 
 def tradeoff_table(name: str) -> str:
-    """Return what an area summarises, and of its variants those on a frontier, the shipped ones and those of others."""
+    """Return the summary of an area, and rows of its variants: those on a frontier, the default ones, and those of other programs."""
     from foretouch_lab.experiments.framework.manifest import read_results
     from foretouch_lab.experiments.framework.tradeoff import find_area
 

@@ -109,7 +109,7 @@ class Door:
             options: Its named arguments.
 
         Raises:
-            ForetouchError: As `load`, also for a library that the function imports when it runs; and those of the function.
+            ForetouchError: If `load` raises it, if a library that the function imports is missing, or if the function raises it.
         """
         with needs_extras(user):
             return self.load(name, user)(*args, **options)
@@ -168,7 +168,7 @@ FUNCTIONS: Final = Door("foretouch.functions", "function")
 
 
 def import_place(place: str) -> Any:
-    """Import what `module:attribute` names; the errors are those of Python."""
+    """Import what `module:attribute` names. Python's own errors are raised."""
     module, _, attribute = place.partition(":")
     if not all(map(str.isidentifier, module.split("."))):
         raise ValueError("is not module:attribute")

@@ -124,8 +124,8 @@ class _Tally:
 def compare_sensor(sensor: Sensor, path: Path) -> dict[str, Any]:
     """Measure ranges, noise, drift, rate and failed taxels of a dataset beside what a description states, in plain types.
 
-    Dead taxels are those that training would mask (see `foretouch.tactile.dead_taxels`), stuck ones did not change through at least one grasp.
-    Noise is the standard deviation at rest, drift the change of the rest level from a grasp to the next (medians over taxels).
+    Training masks dead taxels (see `foretouch.tactile.dead_taxels`). A stuck taxel did not change during at least one grasp.
+    Noise is the standard deviation at rest. Drift is the change of the rest level from one grasp to the next. Both are medians over taxels.
     `corrections` lists setting, stated and recorded value.
 
     Raises:

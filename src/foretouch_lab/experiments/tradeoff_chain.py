@@ -32,7 +32,7 @@ from foretouch.tactile.channels import BIOTAC
 from foretouch.types import Float64, Grasps, Touch
 from foretouch.types.scene import Object
 from foretouch_lab.experiments.framework.experiment import Row, Table
-from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, Variant, frontier, make_area
+from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, Variant, frontier, late_time, make_area
 from foretouch_lab.experiments.shared.touched_scenes import FOUND, HARD, TIMED, SceneSettings, TouchedScenes, drawn_rows
 from foretouch_lab.experiments.tradeoff_model import PAUSE_S, READINGS, MeanPredictor, fewer_trees
 
@@ -178,10 +178,8 @@ def _timed(variant: Variant, _settings: SceneSettings, data: Images) -> Timed:
         for k, target, grasps, tare, reading in _perceive(known.first(TIMED), stride, variant.values["changes"])[1]:
             history.tare(tare, stamp_ns=2 * k * _BETWEEN_NS)
             history.touched(target, grasps[0], reading, stamp_ns=(2 * k + 1) * _BETWEEN_NS, same_object=False)
-    turn, now = (
-        cycle([(part, k) for k in range(min(TIMED, len(known))) for part in data.parts]),
-        3 * TIMED * _BETWEEN_NS,
-    )
+    turn = cycle([(part, k) for k in range(min(TIMED, len(known))) for part in data.parts])
+    now = 3 * TIMED * _BETWEEN_NS
 
     def answer(_: int) -> object:
         part, number = next(turn)
@@ -210,7 +208,7 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     named = {variant.name: variant for variant in VARIANTS}
     line = {row["variant"] for row in frontier(rows, _PANEL)}
     presets = tuple(f"{preset}:" for preset in _PRESETS.values())
-    column = "ms_p95" if all(row["state"] == "idle" for row in rows) else "cpu_ms_p95"
+    column = late_time(rows)
     body = [
         [
             ("• " if row["variant"] in line else "") + row["variant"],

@@ -81,14 +81,13 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
     def _answer(self, item: Input) -> Answer:
         header, planner, touch = item.header, self._planner, self._touch
         targets, status, reason, of_scene = self._seen(item)
-        publish: list[Published] = [*of_scene]
         touch.latest = targets if targets.objects else targets._replace(refusal=RefusalError(status, reason))
         if not targets.objects:
-            publish += [(step, partial(step.refuse, header, status, reason)) for step in (planner, touch)]
-            return Answer(status, reason, publish)
+            refusals = [(step, partial(step.refuse, header, status, reason)) for step in (planner, touch)]
+            return Answer(status, reason, [*of_scene, *refusals])
         grasps, plans = planner.plan(targets.objects, header, reason)
         first = next((plan.grasps[0] for plan in plans if len(plan.grasps)), None)
-        publish = [(step, partial(call, grasp=first)) for step, call in of_scene]  # of the scene, which shows it
+        publish: list[Published] = [(step, partial(call, grasp=first)) for step, call in of_scene]  # which show it
         publish.append((planner, partial(planner.publish, grasps, targets.answered_in)))
         if grasps.grasps:
             answer = touch.answer_plans(targets.objects, plans, grasps)
