@@ -4,6 +4,7 @@
 from pathlib import Path
 from typing import Any, Final, Protocol, runtime_checkable
 
+from foretouch.base.files import require_existing
 from foretouch.camera.config import ScheduleConfig
 from foretouch.doors import Door
 
@@ -42,12 +43,27 @@ class ImageSource(Protocol):
         ...
 
 
-SOURCES: Final = Door("foretouch.sources", "source", kind=ImageSource)
+_RESERVED: Final = (
+    *("camera", "device"),
+    *(".npz", ".npy", ".png", ".tif", ".tiff", ".pcd", ".ply", ".mcap", ".db3", ".bag", ".zstd"),
+)
+"""What `--source` and the camera node themselves understand."""
+
+SOURCES: Final = Door("foretouch.sources", "source", kind=ImageSource, reserved=_RESERVED)
 """The sources that installed packages add."""
 
 
 def find_source(given: str) -> ImageSource | None:
-    """Return the source that a name, or the suffix of a file, stands for; None if it stands for none."""
-    name = Path(given).suffix or given
-    source: ImageSource | None = SOURCES.load(name, f"--source {given}") if name in SOURCES else None
+    """Return the source that a name, or the suffix of a file or folder, stands for; None if it stands for none.
+
+    Raises:
+        FileError: If there is no such file.
+        ConfigError: If the source cannot be imported.
+    """
+    suffix = Path(given).suffix
+    if (suffix or given) not in SOURCES:
+        return None
+    if suffix:
+        require_existing(given)
+    source: ImageSource = SOURCES.load(suffix or given, f"--source {given}")
     return source
