@@ -230,6 +230,7 @@ def reported(user: str, place: str, package: str = "") -> Iterator[None]:
         module = place.partition(":")[0].strip()
         if package and isinstance(err, ModuleNotFoundError) and err.name and f"{module}.".startswith(f"{err.name}."):
             cure = f"{package} names it; install {package} again, from where it came from"
+            cure = "pip install --force-reinstall foretouch" if package == "foretouch" else cure
             raise MissingDependencyError(f"{user}: there is no module {shown(err.name)}: {cure}") from err
         raise ConfigError(f"{user}: {shown(place)} cannot be imported: {described(err)}") from err
 

@@ -4,7 +4,6 @@
 from pathlib import Path
 from typing import Any, Final, Protocol, runtime_checkable
 
-from foretouch.base.files import require_existing
 from foretouch.camera.config import ScheduleConfig
 from foretouch.doors import Door
 
@@ -54,16 +53,7 @@ SOURCES: Final = Door("foretouch.sources", "source", kind=ImageSource, reserved=
 
 
 def find_source(given: str) -> ImageSource | None:
-    """Return the source that a name, or the suffix of a file or folder, stands for; None if it stands for none.
-
-    Raises:
-        FileError: If there is no such file.
-        ConfigError: If the source cannot be imported.
-    """
-    suffix = Path(given).suffix
-    if (suffix or given) not in SOURCES:
-        return None
-    if suffix:
-        require_existing(given)
-    source: ImageSource = SOURCES.load(suffix or given, f"--source {given}")
+    """Return the source that a name, or the suffix of a file or folder, stands for; None if it stands for none."""
+    name = Path(given).suffix or given
+    source: ImageSource | None = SOURCES.load(name, f"--source {given}") if name in SOURCES else None
     return source

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from rich.panel import Panel
 
-from foretouch.base.files import PICTURE_SUFFIXES, require_writable
+from foretouch.base.files import PICTURE_SUFFIXES, require_existing, require_writable
 from foretouch.camera.source import ImageSource, find_source
 from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import CAMERA, add_options, depth_camera, numbers, positive_number, positive_value
@@ -260,7 +260,7 @@ def _shown_nodes(arguments: argparse.Namespace, source: ImageSource) -> dict[str
     """Return parameters of the nodes that show a source, which starts now."""
     from foretouch.camera.config import ScheduleConfig
 
-    path = str(Path(arguments.source).resolve()) if Path(arguments.source).suffix else ""
+    path = str(require_existing(arguments.source).resolve()) if Path(arguments.source).suffix else ""
     show = ScheduleConfig(path=path, origin_ns=time.time_ns())
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)

@@ -68,6 +68,8 @@ class Graph:
 
     def __enter__(self) -> Self:
         prepare_environment()
+        import rclpy  # noqa: F401  (where ROS is absent, the command says so, and not its first node)
+
         stale_bytes(free=True)
         for name in self._parameters:
             node_class(name)
