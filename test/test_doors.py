@@ -10,10 +10,18 @@ import pytest
 from every_case import every_case
 from installed_package import install
 
-from foretouch.camera.source import find_source
+from foretouch.camera.source import SOURCES, find_source
+from foretouch.cloud.io.files import CLOUD_SUFFIXES
+from foretouch.cloud.io.images import IMAGE_SUFFIXES
+from foretouch.dataset.formats import open_samples
+from foretouch.dataset.recordings.bag import RECORDING_SUFFIXES
+from foretouch.dataset.recordings.bag_files import PACKED
 from foretouch.doors import Door
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch_lab.learning.training.run_config import load_run_config
+from foretouch_lab.simulation.scene_source import SceneSource
+
+ROOT = Path(__file__).parents[1]
 
 COMMAND = """
 from foretouch.cli.commands import CommandEntry
@@ -36,7 +44,7 @@ def foretouch(site: Path, *words: str) -> tuple[int, str, str]:
     """Exit status, stdout and stderr of a command beside the packages of a folder."""
     done = subprocess.run(
         [sys.executable, "-m", "foretouch", *words],
-        env={**os.environ, "PYTHONPATH": str(site)},
+        env={**os.environ, "PYTHONPATH": f"{site}:{os.environ.get('PYTHONPATH', '')}"},
         capture_output=True,
         text=True,
         check=False,
@@ -56,7 +64,9 @@ def test_a_package_adds_a_command_and_an_action(tmp_path) -> None:
     assert (status, "Count the files of a folder" in out, "Plan two-finger grasps" in out) == (0, True, True)
     status, _, err = foretouch(site, "bad")
     assert (status, err) == (1, told)
-    assert err == "foretouch: command bad: absent_module is not installed: pip install --force-reinstall others\n"
+    assert err == (
+        "foretouch: command bad: there is no module absent_module: others names it; install others again, from where it came from\n"
+    )
 
 
 def test_a_broken_package_keeps_nobody_from_the_rest(tmp_path) -> None:
@@ -143,8 +153,48 @@ def test_what_cannot_be_loaded_is_one_line_that_names_the_part_and_its_place(tmp
         door.load("raisin")
 
 
-def test_no_package_replaces_a_part_of_foretouch(tmp_path, monkeypatch) -> None:
-    install(tmp_path, {"foretouch.doors": {"own": "their_own:THEIRS"}}, {"their_own": "THEIRS = 1\n"})
+def test_no_package_replaces_a_part_of_foretouch_or_of_the_laboratory(tmp_path, monkeypatch, caplog) -> None:
+    code = "THEIRS = 1\nclass Shown:\n    def nodes(self, show, rate_hz): ...\n    def device(self, show, fps, *, color): ...\nSHOWN = Shown()\n"
+    shown = dict.fromkeys((".npz", ".yaml", "camera"), "their_own:SHOWN")
+    install(tmp_path, {"foretouch.doors": {"own": "their_own:THEIRS"}, "foretouch.sources": shown}, {"their_own": code})
     monkeypatch.syspath_prepend(tmp_path)
     ours = {"k": 1}
-    assert Door("foretouch.doors", "door", {"own": ours}).load("own") is ours
+    door = Door("foretouch.doors", "door", {"own": ours})
+    assert (door.load("own"), list(door)) == (ours, ["own"])
+    assert find_source("camera") is find_source(str(ROOT / "examples/data/table.npz")) is None
+    assert isinstance(find_source(str(ROOT / "config/scenes/demo.yaml")), SceneSource)
+    left_out = [f"foretouch: source {name} of others is left out: foretouch has this name" for name in sorted(shown)]
+    assert caplog.messages == ["foretouch: door own of others is left out: foretouch has this name", *left_out]
+
+
+def test_all_that_source_reads_is_reserved() -> None:
+    assert {*CLOUD_SUFFIXES, *IMAGE_SUFFIXES, *RECORDING_SUFFIXES, PACKED}.isdisjoint(SOURCES)
+    assert {*CLOUD_SUFFIXES, *IMAGE_SUFFIXES, *RECORDING_SUFFIXES, PACKED} <= SOURCES.reserved
+
+
+def test_of_two_packages_with_one_name_the_first_by_name_counts(tmp_path, monkeypatch, caplog) -> None:
+    for package in ("second", "first"):
+        module = f"their_{package}"
+        install(tmp_path, {"foretouch.doors": {"one": f"{module}:PART"}}, {module: f"PART = {package!r}\n"}, package)
+    monkeypatch.syspath_prepend(tmp_path)
+    door = Door("foretouch.doors", "door")
+    assert (door.load("one"), door.load("one")) == ("first", "first")
+    assert caplog.messages == ["foretouch: door one of second is left out: first has this name"]
+
+
+def test_a_broken_part_is_named_once(tmp_path, monkeypatch, caplog) -> None:
+    install(tmp_path, {"foretouch.doors": {"bad": "their_error"}}, {"their_error": "1 / 0\n"})
+    monkeypatch.syspath_prepend(tmp_path)
+    door = Door("foretouch.doors", "door", {"own": 1})
+    assert [dict(door.loaded()), dict(door.loaded())] == [{"own": 1}, {"own": 1}]
+    assert len(caplog.messages) == 1
+
+
+def test_what_a_part_raises_at_work_is_one_line(tmp_path, monkeypatch) -> None:
+    code = "from foretouch.dataset.formats import FormatEntry\nF = FormatEntry('tables', 'their_tables', files=('.table',))\n"
+    code += "def recognise(path): return path.read_bytes().decode('ascii')\n"
+    install(tmp_path / "site", {"foretouch.formats": {"tables": "their_tables:F"}}, {"their_tables": code})
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    (tmp_path / "one.table").write_bytes(b"\xff")
+    with pytest.raises(ConfigError, match=r"format tables: UnicodeDecodeError: .* \(their_tables.py:3\)"):
+        open_samples(tmp_path / "one.table")

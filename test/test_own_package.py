@@ -70,3 +70,5 @@ def test_the_source_is_shown_by_the_node(site, tmp_path) -> None:
     done = foretouch(site, "run", "--source", tmp_path / "table.depth", "--count", 3, "--json")
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     assert (done.returncode, len(answers) >= 3) == (0, True), done.stderr
+    absent = foretouch(site, "run", "--source", "tabel.depth")
+    assert (absent.returncode, absent.stderr) == (1, "foretouch: tabel.depth: does not exist\n")

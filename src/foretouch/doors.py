@@ -17,7 +17,7 @@ What `foretouch_lab` brings stands in `setup.py`, in the same way. A robot needs
 import functools
 import sys
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
@@ -25,7 +25,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError, described, nearest, shown
+from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError, described, nearest, raised_at, shown
 
 _OPTIONAL: Final = {
     "embreex": "embreex",
@@ -40,6 +40,7 @@ _OF_ROS: Final = ("rclpy", "_msgs", "_srvs", "_interfaces")  # ends of names of 
 class EntryPoint(NamedTuple):
     """A part that a package adds."""
 
+    name: str
     place: str  # `module:attribute`
     package: str  # that brings it
 
@@ -53,16 +54,26 @@ class Door:
         own: Parts of foretouch by name, which no other package replaces. A text is the place of one, `module:attribute`, which
             is imported when it is asked for.
         kind: What each part must be an instance of.
+        reserved: Further names that mean something in foretouch, so that no package may add them.
     """
 
-    def __init__(self, group: str, noun: str, own: Mapping[str, Any] | None = None, kind: type = object) -> None:
+    def __init__(
+        self,
+        group: str,
+        noun: str,
+        own: Mapping[str, Any] | None = None,
+        kind: type = object,
+        reserved: Iterable[str] = (),
+    ) -> None:
         self.group, self.noun, self.kind = group, noun, kind
         self._own = dict(own or {})
+        self.reserved = frozenset({*self._own, *reserved})
+        self._reported = set[str]()  # parts whose faults are in the log
 
     def __iter__(self) -> Iterator[str]:
         """Return the names of all parts: those of foretouch first, in their order."""
         yield from self._own
-        yield from sorted(self._installed().keys() - self._own.keys())
+        yield from sorted(self.added().keys() - self._own.keys())
 
     def load(self, name: str, user: str = "") -> Any:
         """Return a part, which is imported if it was not.
@@ -83,21 +94,21 @@ class Door:
             with reported(user, own):
                 return import_place(own)
         entry = self._added(name, user)
-        with reported(user, *entry):
+        with reported(user, entry.place, entry.package):
             part = import_place(entry.place)
         if not isinstance(part, self.kind):
             raise ConfigError(f"{user}: {entry.place} is a {type(part).__name__} and no {self.kind.__name__}")
         return part
 
     def loaded(self) -> Iterator[tuple[str, Any]]:
-        """Iterate over all parts by name. One that cannot be imported is a line in the log, and the others go on without it."""
+        """Iterate over all parts by name. One that cannot be imported is a line in the log, once, and the others go on without it."""
         for name in self:
             try:
                 yield name, self.load(name)
             except ForetouchError as err:
-                import logging
-
-                logging.getLogger(__name__).warning("foretouch: %s", err)
+                if name not in self._reported:
+                    _warn(str(err))
+                self._reported.add(name)
 
     def call(self, name: str, user: str, /, *args: Any, **options: Any) -> Any:
         """Call a part that is a function.
@@ -115,7 +126,7 @@ class Door:
             return self.load(name, user)(*args, **options)
 
     def _added(self, name: str, user: str) -> EntryPoint:
-        if name in (added := self._installed()):
+        if name in (added := self.added()):
             return added[name]
         known = list(self)
         listed = (
@@ -124,19 +135,39 @@ class Door:
         raise ConfigError(f"{user}: is no entry point of the group {self.group}, {listed}")
 
     def __contains__(self, name: object) -> bool:
-        return name in self._own or name in self._installed()
+        return name in self._own or name in self.added()
 
-    def _installed(self) -> Mapping[str, EntryPoint]:
-        return _entry_points(tuple(sys.path)).get(self.group, {})
+    def added(self) -> Mapping[str, EntryPoint]:
+        """Return the parts of the laboratory and of other packages by name. One whose name is taken is a line in the log, once."""
+        return _chosen(self.group, self.noun, self.reserved, tuple(sys.path))
 
 
 @functools.cache
-def _entry_points(folders: tuple[str, ...]) -> Mapping[str, Mapping[str, EntryPoint]]:
-    """Read what installed packages add, by group and name, from the folders where Python looks for modules.
+def _chosen(group: str, noun: str, taken: frozenset[str], folders: tuple[str, ...]) -> Mapping[str, EntryPoint]:
+    """Choose one part for each name: of those that want it, the laboratory's, else that of the first package by name."""
+    chosen: dict[str, EntryPoint] = {}
+    for entry in _entry_points(folders).get(group, ()):
+        if entry.name in taken or entry.name in chosen:
+            holder = "foretouch" if entry.name in taken else chosen[entry.name].package
+            _warn(f"{noun} {shown(entry.name)} of {entry.package} is left out: {holder} has this name")
+        else:
+            chosen[entry.name] = entry
+    return chosen
+
+
+def _warn(text: str) -> None:
+    import logging
+
+    logging.getLogger(__name__).warning("foretouch: %s", text)
+
+
+@functools.cache
+def _entry_points(folders: tuple[str, ...]) -> Mapping[str, Sequence[EntryPoint]]:
+    """Read what installed packages add, by group, from the folders where Python looks for modules: foretouch first, then by package.
 
     `importlib.metadata` gives the same, but takes 35 ms to be imported and 25 ms to parse what 240 packages say.
     """
-    groups: defaultdict[str, dict[str, EntryPoint]] = defaultdict(dict)
+    groups: defaultdict[str, list[EntryPoint]] = defaultdict(list)
     seen = set[str]()
     for folder in folders:
         for info in chain.from_iterable(Path(folder).glob(f"*.{kind}-info") for kind in ("dist", "egg")):
@@ -144,7 +175,9 @@ def _entry_points(folders: tuple[str, ...]) -> Mapping[str, Mapping[str, EntryPo
             if package not in seen:
                 seen.add(package)
                 for group, part, place in _parts(info / "entry_points.txt"):
-                    groups[group].setdefault(part, EntryPoint(place, package))
+                    groups[group].append(EntryPoint(part, place, package))
+    for entries in groups.values():
+        entries.sort(key=lambda entry: (entry.package != "foretouch", entry.package))
     return groups
 
 
@@ -194,11 +227,27 @@ def reported(user: str, place: str, package: str = "") -> Iterator[None]:
     except ForetouchError:
         raise
     except (Exception, SystemExit) as err:
-        module = place.partition(":")[0].partition(".")[0].strip()
-        if package and isinstance(err, ModuleNotFoundError) and (err.name or "").partition(".")[0] == module:
-            cure = f"pip install --force-reinstall {package}"
-            raise MissingDependencyError(f"{user}: {module} is not installed: {cure}") from err
+        module = place.partition(":")[0].strip()
+        if package and isinstance(err, ModuleNotFoundError) and err.name and f"{module}.".startswith(f"{err.name}."):
+            cure = f"{package} names it; install {package} again, from where it came from"
+            cure = "pip install --force-reinstall foretouch" if package == "foretouch" else cure
+            raise MissingDependencyError(f"{user}: there is no module {shown(err.name)}: {cure}") from err
         raise ConfigError(f"{user}: {shown(place)} cannot be imported: {described(err)}") from err
+
+
+@contextmanager
+def at_work(user: str) -> Iterator[None]:
+    """Report what another package's code raises at its work as a `ConfigError` of one line; foretouch's own errors pass.
+
+    Args:
+        user: The part that works, for the error.
+    """
+    try:
+        yield
+    except (ForetouchError, ModuleNotFoundError):
+        raise
+    except Exception as err:
+        raise ConfigError(f"{user}: {described(err)}{raised_at(err)}") from err
 
 
 @contextmanager

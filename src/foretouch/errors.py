@@ -72,6 +72,14 @@ def described(err: BaseException) -> str:
     return f"{type(err).__name__}: {' '.join(str(err).split())}"
 
 
+def raised_at(err: BaseException) -> str:
+    """Return where an exception was raised, such as " (mine.py:7)"; "" if it was not."""
+    last = err.__traceback__
+    while last is not None and last.tb_next is not None:
+        last = last.tb_next
+    return "" if last is None else f" ({Path(last.tb_frame.f_code.co_filename).name}:{last.tb_lineno})"
+
+
 class ForetouchError(Exception):
     """A known failure, described in one line.
 

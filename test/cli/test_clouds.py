@@ -52,7 +52,7 @@ def test_an_input_without_clouds_is_refused(call, files, tmp_path) -> None:
     answer = call("predict", tmp_path / "none", files / "object.pcd", "--json")
     assert (answer.status, [record["status"] for record in answer.records]) == (1, ["refused", "ok"])
     assert answer.records[0]["reason"].endswith("none: holds no cloud and no sample")
-    assert "without a clock" not in call("dataset", "info", tmp_path / "none").out
+    assert "without stamps" not in call("dataset", "info", tmp_path / "none").out
 
 
 def test_grasp_of_an_object_equals_the_core_and_vary_is_repeated_by_its_seed(call, files) -> None:

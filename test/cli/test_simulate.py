@@ -54,7 +54,7 @@ def test_seed_and_settings_from_the_command_line(scene, tmp_path, call) -> None:
     told = call("simulate", scene, *words, "-o", tmp_path / "a").out
     assert re.match(r"1 samples in .*, [\d.]+ a second; failed tries: none\nsha256 [0-9a-f]+\n$", told)
     assert not (tmp_path / "a" / SHEET).exists()
-    assert "simulated, without a clock" in call("dataset", "info", tmp_path / "a").out  # and no day in 1970
+    assert "without stamps" in call("dataset", "info", tmp_path / "a").out  # and no day in 1970
     again = call("simulate", scene, *words, "-o", tmp_path / "b", "--json").records[-1]
     other = call("simulate", scene, *words, "-o", tmp_path / "c", "--seed", 1, "--json").records[-1]
     first = Store(tmp_path / "a")

@@ -228,7 +228,7 @@ def test_nodes_and_parameters_in_files_and_on_the_command_line(call, tmp_path) -
 
     def check_accepted(node: str, text: str, namespace: str = "/foretouch") -> None:
         path.write_text(f"{node}:\n  ros__parameters:\n    {text}\n")
-        check_parameters(["--ros-args", "--params-file", str(path)], KNOWN, ["grasp"], namespace)
+        check_parameters(["--ros-args", "--params-file", str(path)], KNOWN, {"grasp": {}}, namespace)
 
     every_case(REFUSED, check_refused)
     every_case(ACCEPTED, check_accepted)
@@ -237,13 +237,15 @@ def test_nodes_and_parameters_in_files_and_on_the_command_line(call, tmp_path) -
         (["--param", "touch_predictor:use_tarre:=false"], "did you mean use_tare?"),
     ):
         with pytest.raises(ConfigError) as err:
-            check_parameters(["--ros-args", *words], KNOWN, ["grasp"], "/foretouch")
+            check_parameters(["--ros-args", *words], KNOWN, {"grasp": {}}, "/foretouch")
         assert text in str(err.value)
-    check_parameters(["--ros-args", "-p", "grasp.count:=3"], KNOWN, ["grasp"], "/foretouch")
+    check_parameters(["--ros-args", "-p", "grasp.count:=3"], KNOWN, {"grasp": {}}, "/foretouch")
     path.write_text("/foretouch/touch_predictor:\n  ros__parameters:\n    model: default\n")  # of a single step
     arguments = ["--ros-args", "--params-file", str(path)]
-    check_parameters(arguments, KNOWN, ["touch_predictor"], "/foretouch")
+    check_parameters(arguments, KNOWN, {"touch_predictor": {}}, "/foretouch")
     with pytest.raises(ConfigError) as err:
-        check_parameters(arguments, KNOWN, ["perception"], "/foretouch")
+        check_parameters(arguments, KNOWN, {"perception": {}}, "/foretouch")
     rule = "model: the node /foretouch/perception has these parameters since 0.4: move them there"
     assert str(err.value) == f"{path}: /foretouch/touch_predictor: {rule}"
+    with pytest.raises(ConfigError, match=r"node grasp: grasp.cuont: unknown parameter; did you mean grasp.count\?"):
+        check_parameters([], KNOWN, {"grasp": {"grasp.cuont": 3}}, "/foretouch")

@@ -42,12 +42,18 @@ class ImageSource(Protocol):
         ...
 
 
-SOURCES: Final = Door("foretouch.sources", "source", kind=ImageSource)
+_RESERVED: Final = (
+    *("camera", "device"),
+    *(".npz", ".npy", ".png", ".tif", ".tiff", ".pcd", ".ply", ".mcap", ".db3", ".bag", ".zstd"),
+)
+"""What `--source` and the camera node themselves understand."""
+
+SOURCES: Final = Door("foretouch.sources", "source", kind=ImageSource, reserved=_RESERVED)
 """The sources that installed packages add."""
 
 
 def find_source(given: str) -> ImageSource | None:
-    """Return the source that a name, or the suffix of a file, stands for; None if it stands for none."""
+    """Return the source that a name, or the suffix of a file or folder, stands for; None if it stands for none."""
     name = Path(given).suffix or given
     source: ImageSource | None = SOURCES.load(name, f"--source {given}") if name in SOURCES else None
     return source

@@ -165,7 +165,7 @@ def _info(arguments: argparse.Namespace) -> int:
     if facts["last_ns"]:
         period = f"{_utc(facts['first_ns'])} to {_utc(facts['last_ns'])}"
     elif facts["samples"]:
-        period = "simulated, without a clock"
+        period = "without stamps"
     least, median, most = facts["points"]
     bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], facts["pairing_ms"], strict=False)
     rows = {

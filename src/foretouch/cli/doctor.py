@@ -58,7 +58,7 @@ def add_arguments(parser: CommandParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Return exit status 1 if something is missing, broken or of another version."""
     announce("importing the libraries and loading the models")
-    findings = [*_requirements(), *_libraries(), *_own_parts()]
+    findings = [*_requirements(), *_libraries(), *_own_parts(), *_added_parts()]
     if arguments.self_test:
         code = "from foretouch.cli import selftest; selftest.check_"
         findings.append(_tried("models answer as expected", f"{code}models()", _REINSTALL))
@@ -77,6 +77,15 @@ def run(arguments: argparse.Namespace) -> int:
     optional = sum(finding.state == "optional" for finding in findings)
     print(f"{len(findings)} checks, {len(problems)} to fix, {optional} optional")
     return int(bool(problems))
+
+
+def _added_parts() -> Iterator[_Finding]:
+    """List what other packages add by entry points."""
+    for package in metadata.distributions():
+        parts = [entry for entry in package.entry_points if entry.group.startswith("foretouch.")]
+        if parts and package.name != "foretouch":
+            names = [f"{entry.group.partition('.')[2]} {entry.name}" for entry in parts]
+            yield _Finding(f"parts of {package.name}", "ok", ", ".join(names))
 
 
 def _requirements() -> Iterator[_Finding]:

@@ -84,7 +84,7 @@ def _run(arguments: list[str]) -> int:
 
         check_variables()
     with needs_extras(parsed.command):  # some libraries are imported when they are needed
-        return int(command.load(parsed.command).run(parsed))
+        return int(command.load(parsed.command).run(parsed) or 0)
 
 
 def _parse(parser: CommandParser, arguments: list[str]) -> argparse.Namespace:

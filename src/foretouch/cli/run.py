@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from rich.panel import Panel
 
-from foretouch.base.files import PICTURE_SUFFIXES, require_writable
+from foretouch.base.files import PICTURE_SUFFIXES, require_existing, require_writable
 from foretouch.camera.source import ImageSource, find_source
 from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import CAMERA, add_options, depth_camera, numbers, positive_number, positive_value
@@ -23,7 +23,7 @@ from foretouch.cli.live import live_panel
 from foretouch.cli.output import JsonLines, announce, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.cli.screen import terminal, watch
-from foretouch.doors import needs_extras
+from foretouch.doors import at_work, needs_extras
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.models import History, TouchModel, load_model
 from foretouch.ros.graph import Graph, input_of
@@ -153,7 +153,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     from foretouch.ros.nodes.camera import DEPTH_TOPIC
     from foretouch.ros.sessions.playlist import cloud_is_object
 
-    given = [settings for _, settings in nodes_of_file(arguments.params)] if arguments.params else []
+    stated = list(nodes_of_file(arguments.params)) if arguments.params else []
     perception: dict[str, Any] = {}
     nodes: dict[str, dict[str, Any]] = {"perception": perception}
     arguments.remapped = []  # what perception receives
@@ -172,7 +172,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     _require_used(arguments, scene=shown is not None, files=not live)
     if not live:
         source = open_source(arguments.source, arguments.topic, camera=depth_camera(arguments))
-        if not any("late_after_s" in parameters for parameters in given):
+        if not _is_stated(stated, "perception", "late_after_s"):
             perception["late_after_s"] = 0.0  # the recording's stamps are old
         perception["input"] = "objects" if cloud_is_object(source) else "depth" if source.info_topic else "points"
         if arguments.plane is not None and perception["input"] != "objects":
@@ -190,11 +190,15 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     perception["input"] = "depth"
     arguments.remapped = _remapped("depth/image", DEPTH_TOPIC)
     for name, parameters in ({"camera": {}} if shown is None else _shown_nodes(arguments, shown)).items():
-        nodes[name] = parameters | nodes.get(name, {})
-    for parameter in ("hand.name", "model"):  # what a file states goes before what the source asks for
-        if any(parameter in parameters for parameters in given) and not (parameter == "model" and arguments.model):
-            nodes["perception"].pop(parameter, None)
+        asked = {key: value for key, value in parameters.items() if not _is_stated(stated, name, key)}
+        nodes[name] = asked | nodes.get(name, {})
     return nodes
+
+
+def _is_stated(stated: Sequence[tuple[str, Mapping[str, Any]]], node: str, parameter: str) -> bool:
+    """Return whether the parameter file sets a parameter, which goes before what the source asks for; what is shown stays its own."""
+    names = {name.rpartition("/")[2] for name, settings in stated if parameter in settings}
+    return not parameter.startswith("scene.") and any(name == node or "*" in name for name in names)
 
 
 def _remapped(own: str, topic: str, colours: str | None = None) -> list[str]:
@@ -256,12 +260,12 @@ def _shown_nodes(arguments: argparse.Namespace, source: ImageSource) -> dict[str
     """Return parameters of the nodes that show a source, which starts now."""
     from foretouch.camera.config import ScheduleConfig
 
-    path = str(Path(arguments.source).resolve()) if Path(arguments.source).suffix else ""
+    path = str(require_existing(arguments.source).resolve()) if Path(arguments.source).suffix else ""
     show = ScheduleConfig(path=path, origin_ns=time.time_ns())
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)
-    with needs_extras(f"--source {arguments.source}"):
-        nodes = source.nodes(show, arguments.rate)
+    with needs_extras(f"--source {arguments.source}"), at_work(f"--source {arguments.source}"):
+        nodes = {name: dict(parameters) for name, parameters in source.nodes(show, arguments.rate).items()}
     if arguments.picture and "camera" in nodes:
         nodes["camera"]["camera.color"] = True
     return nodes
@@ -393,12 +397,14 @@ def _warn_of_no_cloud(graph: Graph, arguments: argparse.Namespace) -> None:
     """Say which source gave no cloud, and in which state it is."""
     source = arguments.source
     if "hand" in graph.nodes:
-        source = "scene"
+        source = "the scene"
     elif "camera" in graph.nodes:
-        source = "camera"
+        source = "the camera"
     state = getattr(arguments, "state", _source_state(graph))
-    cure = "; of a camera that is no RealSense, give the topic of its driver as --source" if source == "camera" else ""
-    warn(f"no cloud came from the {source}: {state}{cure}")
+    cure = (
+        "; of a camera that is no RealSense, give the topic of its driver as --source" if source == "the camera" else ""
+    )
+    warn(f"no cloud came from {source}: {state}{cure}")
 
 
 def _draw(drawables: Sequence[Drawable], arguments: argparse.Namespace, sensor: Sensor) -> None:

@@ -107,6 +107,10 @@ def find_card(name_or_path: str | Path) -> Path:
     if path.suffix == ".safetensors":
         path = path.with_suffix(".json")
     if path.suffix != ".json":
+        from foretouch.models.own import PREDICTORS
+
+        if name in PREDICTORS:
+            raise ModelError(f"{shown(name)}: is a predictor: foretouch.calibrate makes a model of it")
         known = available_models()
         raise ModelError(
             f"{shown(name)}: is not a model folder, no card (.json), no weights (.safetensors) and none of "

@@ -11,7 +11,6 @@ through the tracker of the sensors' state (`models.tracker`), with the parameter
 
 import copy
 import time
-import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,6 +29,7 @@ from foretouch.errors import (
     TactileError,
     checked,
     described,
+    raised_at,
     require_type,
     shown,
 )
@@ -291,7 +291,7 @@ class TouchModel(Summarised):
         except (Exception, SystemExit) as err:
             if self.card.get("kind") != OWN:  # an error of foretouch is reported as one
                 raise
-            raise ModelError(f"{self.name}: estimate: {described(err)}{_line_of(err)}") from err
+            raise ModelError(f"{self.name}: estimate: {described(err)}{raised_at(err)}") from err
         if isinstance(answer, Estimate) and self.card.get("kind") != OWN:
             return answer
         try:
@@ -415,12 +415,6 @@ class TouchModel(Summarised):
             return predictions
         refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", _NOT_FINITE)
         return predictions.put(~finite, refused)
-
-
-def _line_of(err: BaseException) -> str:
-    """Return where an exception was raised, such as " (mine.py:7)"."""
-    frames = traceback.extract_tb(err.__traceback__)
-    return f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
 
 
 def _checked_tdc(tdc: Any, model: TouchModel) -> Float64 | None:

@@ -14,7 +14,7 @@ from functools import partial
 from foretouch.base.interrupts import end_at_once, raise_interrupts
 from foretouch.errors import ForetouchError
 from foretouch.ros.graph import Graph
-from foretouch.ros.nodes import NODES
+from foretouch.ros.nodes import node_class
 from foretouch.ros.runtime.environment import check_variables, prepare_environment
 
 
@@ -35,7 +35,7 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
         check_variables()
         prepare_environment()
         for name in names:
-            NODES.load(name)
+            node_class(name)
         raise_interrupts()
         graph = Graph({name: {} for name in names}, arguments=arguments, monitor=None)
         with suppress(KeyboardInterrupt), graph:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 from foretouch.base.interrupts import uninterrupted
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.ros.nodes import NODES
+from foretouch.ros.nodes import NODES, node_class
 from foretouch.ros.runtime.environment import prepare_environment, stale_bytes, start_rclpy
 from foretouch.ros.runtime.parameter_files import check_parameters
 from foretouch.topics import NAMESPACE
@@ -68,8 +68,12 @@ class Graph:
 
     def __enter__(self) -> Self:
         prepare_environment()
+        import rclpy  # noqa: F401  (where ROS is absent, the command says so, and not its first node)
+
         stale_bytes(free=True)
-        check_parameters(self._arguments, NODES, list(self._parameters), **self._namespace)
+        for name in self._parameters:
+            node_class(name)
+        check_parameters(self._arguments, NODES, self._parameters, **self._namespace)
         start_rclpy(self._arguments)
         try:
             self._start()
@@ -103,7 +107,7 @@ class Graph:
                 served.append(self.monitor)
         for name, parameters in self._parameters.items():
             with uninterrupted():
-                node = NODES.load(name)(parameter_overrides=_parameters(parameters), **self._namespace)
+                node = node_class(name)(parameter_overrides=_parameters(parameters), **self._namespace)
                 self._closed.callback(node.destroy_node)
                 self.nodes[name] = node
                 served.append(node)

@@ -22,8 +22,8 @@ from typing import Any, Final
 from foretouch.base.files import require_existing, system_errors
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.samples import ExportResult, SampleSet
-from foretouch.doors import Door, reported
-from foretouch.errors import FileError, shown
+from foretouch.doors import Door, at_work, reported
+from foretouch.errors import ConfigError, FileError, shown
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,13 @@ def readable_formats() -> str:
 
 def _format_of(path: Path) -> ModuleType | None:
     """Return the module of the format that a path is of."""
-    candidates = (entry.load() for entry in _entries() if entry.may_hold(path))
-    return next((module for module in candidates if module.recognise(path)), None)
+    for entry in _entries():
+        if entry.may_hold(path):
+            with at_work(f"format {shown(entry.title)}"):
+                module = entry.load()
+                if module.recognise(path):
+                    return module
+    return None
 
 
 def is_sample_set(path: str | Path) -> bool:
@@ -131,6 +136,8 @@ def export_samples(
         DatasetError: If a sample's id cannot be the name of a file.
     """
     module = FORMATS.load(kind).load()
+    if not hasattr(module, "export"):
+        raise ConfigError(f"format {shown(kind)}: {module.__name__} has no function export")
     result = ExportResult()
     with new_folder(Path(out)) as folder, system_errors(out, "cannot be written"):
         module.export(open_samples(source), folder, result, progress, **options)

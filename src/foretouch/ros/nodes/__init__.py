@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The nodes by name. Each is imported when it is asked for, so that an executable loads only its own."""
 
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 from foretouch.doors import Door
+from foretouch.errors import ConfigError
+
+if TYPE_CHECKING:
+    from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 
 _HERE: Final = "foretouch.ros.nodes"
 
@@ -23,3 +27,19 @@ NODES: Final = Door(
     type,
 )
 """The class of each node, a `ForetouchNode`."""
+
+
+def node_class(name: str) -> "type[ForetouchNode[Any]]":
+    """Import the class of a node.
+
+    Raises:
+        ConfigError: If there is no such node, it cannot be imported, or it is none of foretouch.
+    """
+    found: type[Any] = NODES.load(name)
+    from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+
+    if not issubclass(found, ForetouchNode):
+        raise ConfigError(
+            f"node {name}: {found.__name__} is not derived from ForetouchNode (ros.runtime.lifecycle_node)"
+        )
+    return found

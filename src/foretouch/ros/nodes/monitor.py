@@ -237,4 +237,6 @@ class MonitorNode(Node):
 
     def _keep(self, messages: deque[Any], message: PointCloud2 | Image) -> None:
         with self._lock:
-            messages.append(message)
+            last = self._view.last if self._closed else None
+            if last is None or stamp_ns(message.header.stamp) <= stamp_ns(last.header.stamp):
+                messages.append(message)

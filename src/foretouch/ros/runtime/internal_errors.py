@@ -8,7 +8,6 @@ timers and services through `InternalErrors.guarded`, and inputs report theirs; 
 import functools
 import threading
 import time
-import traceback
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +16,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import Executor, ExternalShutdownException
 
-from foretouch.errors import described
+from foretouch.errors import described, raised_at
 from foretouch.ros.runtime.diagnostics import Report
 
 
@@ -54,9 +53,7 @@ class InternalErrors:
             self._counts[name] += 1
             count = self._counts[name]
         if str(count).rstrip("0") == "1":
-            frames = traceback.extract_tb(err.__traceback__)
-            position = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "no traceback"
-            self._log(f"{name}: internal error {count}: {reason} ({position})")
+            self._log(f"{name}: internal error {count}: {reason}{raised_at(err)}")
         return reason
 
     def add_to(self, report: Report) -> None:

@@ -6,7 +6,7 @@ may stand in the same file, outside of the namespace of the graph, if their name
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from itertools import pairwise
 from typing import Any, Final
@@ -31,13 +31,15 @@ _CHANGED: Final = {  # in 0.4
 _ALIKE: Final = 0.8  # of two names that are taken for one, misspelled
 
 
-def check_parameters(arguments: Sequence[str], nodes: Door, own: Sequence[str], namespace: str = NAMESPACE) -> None:
-    """Check the parameter files and parameters of a command line.
+def check_parameters(
+    arguments: Sequence[str], nodes: Door, own: Mapping[str, Mapping[str, Any]], namespace: str = NAMESPACE
+) -> None:
+    """Check the parameters of nodes, of parameter files and of a command line.
 
     Args:
         arguments: The command line, which may remap the namespace.
         nodes: All nodes that there are.
-        own: Names of the nodes of this process.
+        own: Parameters of the nodes of this process, by name.
         namespace: Of these nodes.
 
     Raises:
@@ -45,6 +47,8 @@ def check_parameters(arguments: Sequence[str], nodes: Door, own: Sequence[str], 
     """
     remapped = [word.partition(":=")[2] for word in arguments if re.match(r"(\w+:)?__ns:=", word)]
     namespace = f"/{(remapped or [namespace])[-1].strip('/')}"
+    for name, given in own.items():
+        _require_known(f"node {name}", [name], given, nodes)
     for option, value in pairwise(arguments):
         if option == "--params-file":
             for name, given in nodes_of_file(value):
@@ -52,7 +56,7 @@ def check_parameters(arguments: Sequence[str], nodes: Door, own: Sequence[str], 
                 _refuse_moved(value, name, given, own)
         elif option in {"-p", "--param"} and ":=" in value:
             name, _, parameter = value.partition(":=")[0].rpartition(":")
-            _require_known(f"{option} {value}", [name] if name in nodes else own, {parameter: None}, nodes)
+            _require_known(f"{option} {value}", [name] if name in nodes else [*own], {parameter: None}, nodes)
 
 
 def nodes_of_file(path: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -87,7 +91,7 @@ def _check(path: str, name: str, given: Mapping[str, Any], nodes: Door, namespac
         raise ConfigError(f"{path}: {name}: there is no such node; in {graph} are {', '.join(nodes)}{hint}")
 
 
-def _refuse_moved(path: str, name: str, given: Mapping[str, Any], own: Sequence[str]) -> None:
+def _refuse_moved(path: str, name: str, given: Mapping[str, Any], own: Container[str]) -> None:
     """Refuse parameters of single steps where one node does the work of all of them."""
     place, _, short = name.rpartition("/")
     if short in _STEPS and "perception" in own and short not in own and given:
@@ -103,7 +107,10 @@ def _taken_for(name: str, known: Iterable[str]) -> bool:
 
 def _require_known(place: str, names: Sequence[str], given: Mapping[str, Any], nodes: Door) -> None:
     """Refuse a parameter that none of some nodes has, or that has no value."""
-    known = [info.name for name in names for info in setting_infos(nodes.load(name).config_class)]
+    classes = [nodes.load(name) for name in names]
+    known = [
+        info.name for kind in classes if hasattr(kind, "config_class") for info in setting_infos(kind.config_class)
+    ]
     for parameter, value in given.items():
         if parameter not in known and parameter.partition(".")[0] not in _SHARED:
             rule = _CHANGED.get(parameter, f"unknown parameter{nearest(parameter, known)}")
