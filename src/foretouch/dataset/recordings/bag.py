@@ -9,7 +9,7 @@ were recorded, for replay, and the clouds in them. For writing see `foretouch.da
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, suppress
 from copy import deepcopy
@@ -25,11 +25,10 @@ from foretouch.base.files import open_regular, require_existing
 from foretouch.cloud.io.colours import COLOUR_ENCODINGS, ColourImages, colours_of
 from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, decode_depth, info_topic
-from foretouch.cloud.messages import decode_cloud
+from foretouch.cloud.messages import decode_cloud, read_header
 from foretouch.config import load_yaml
-from foretouch.dataset.recordings.bag_colours import with_colours
 from foretouch.dataset.recordings.bag_files import PACKED, McapFile, known_failures, open_storage, plain
-from foretouch.errors import CloudError, FileError, ForetouchError, none_of
+from foretouch.errors import CloudError, DatasetError, FileError, ForetouchError, none_of
 from foretouch.types import Cloud, UInt8, stamp_ns
 
 if TYPE_CHECKING:
@@ -47,6 +46,7 @@ RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
 _PACKED_SUFFIXES: Final = (f".mcap{PACKED}", f".db3{PACKED}")
 _METADATA: Final = "metadata.yaml"
 _VIEWER: Final = re.compile(r"(/device_\d+/sensor_\d+)/(\w+)/image/data")  # images in recordings of librealsense
+_WAIT_NS: Final = 100_000_000  # recorded time for which a depth image is held back for its colours, as in a node
 _TAXELS = "/foretouch/taxels/"  # clouds that are no camera's, in recordings of foretouch 0.3 and older
 
 
@@ -270,23 +270,58 @@ class Recording:
             infos.add(self.content(message), message.bag_time_ns * 1e-9)
         return infos
 
-    def clouds(self, topic: str) -> Iterator[tuple[Message, Callable[[], Cloud]]]:
-        """Read the messages of a topic of clouds or depth images, each with what decodes it.
+    def clouds(self, topic: str, others: Collection[str] = ()) -> Iterator[tuple[Message, Callable[[], Any]]]:
+        """Read the messages of a topic of clouds or depth images, and of other topics, each with what decodes it.
 
         A depth image has the camera of the last info before it, the first ones the camera of the first info; and its colours,
-        where there are any. What decodes a message raises a `FileError` if it is damaged or has no camera; the iteration as
-        `messages`.
+        where there are any. What decodes a message gives a `Cloud`, or the content of another message, and raises a `FileError` if it is
+        damaged or has no camera; the iteration as `messages`.
         """
         infos = self.first_info(topic)
         beside = "" if self._camera.is_known else self.info_topic(topic)
-        colour_topic = self.color_topic(topic)
-        messages = self.messages({topic, beside, colour_topic})
-        for message, colours in with_colours(messages, topic, colour_topic, self.colours):
+        for message, colours in self.with_colours({topic, beside, *others}, topic, self.color_topic(topic)):
             if message.topic == topic:
                 yield message, partial(self.decode_cloud, message, infos, colours)
-            else:
+            elif message.topic == beside:
                 infos = deepcopy(infos)  # images before it are perhaps decoded later
                 infos.add(self.content(message), message.bag_time_ns * 1e-9)
+            else:
+                yield message, partial(self.content, message)
+
+    def with_colours(
+        self, topics: Collection[str], topic: str, colour_topic: str
+    ) -> Iterator[tuple[Message, Message | None]]:
+        """Iterate over the messages of some topics in order, each depth image with its colours, which are matched as a node does.
+
+        Args:
+            topics: That are read.
+            topic: Of the depth images.
+            colour_topic: Of the colours, which are not given by themselves; "" for none.
+        """
+        held: deque[Message] = deque()
+
+        def released(now_ns: float) -> Iterator[tuple[Message, Message | None]]:
+            while held:
+                message = held[0]
+                found = None
+                if colour_topic and message.topic == topic and (stamp := _stamp(message)) is not None:
+                    if not self.colours.is_final(stamp) and now_ns < message.bag_time_ns + _WAIT_NS:
+                        return
+                    found = self.colours.match(stamp)
+                yield held.popleft(), found
+
+        for message in self.messages({*topics, colour_topic}):
+            if message.topic != colour_topic:
+                held.append(message)
+            elif (stamp := _stamp(message)) is not None:
+                self.colours.add(stamp, message)
+            yield from released(message.bag_time_ns)
+        yield from released(float("inf"))
+
+    def remarks(self, topic: str) -> list[str]:
+        """Return what became of the colours of the depth images of a topic that were read, if some are without."""
+        remark = self.colours.remark
+        return [f"{self.path}: {self.color_topic(topic)}: {remark}"] if remark else []
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Iterate over the messages of some topics, or of all, in order of their bag time.
@@ -478,6 +513,14 @@ def _is_latched(connection: Connection) -> bool:
     profiles = getattr(connection.ext, "offered_qos_profiles", [])  # of ROS 2
     latching = bool(getattr(connection.ext, "latching", False))  # of ROS 1
     return latching or any(profile.durability == QosDurability.TRANSIENT_LOCAL for profile in profiles)
+
+
+def _stamp(message: Message) -> int | None:
+    """Return the stamp of a message [ns]; None for one that is cut off, which is refused where it is decoded."""
+    try:
+        return read_header(message.data)[0]
+    except DatasetError:
+        return None
 
 
 def _position(message: Message) -> str:
