@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import ExitStack, suppress
 from copy import deepcopy
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, decode_depth, info_topic
 from foretouch.cloud.messages import decode_cloud, read_header
 from foretouch.config import load_yaml
-from foretouch.dataset.recordings.bag_files import PACKED, McapFile, known_failures, open_storage, plain
+from foretouch.dataset.recordings.bag_files import PACKED, McapStorage, known_failures, open_storage, plain
 from foretouch.errors import CloudError, DatasetError, FileError, ForetouchError, none_of
 from foretouch.types import Cloud, UInt8, stamp_ns
 
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 _IMAGE_TYPE = "sensor_msgs/msg/Image"
 _COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
+_IMAGE_TYPES = (_IMAGE_TYPE, _COMPRESSED_TYPE)
 _CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _HEADER_TYPE = "std_msgs/msg/Header"
 RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
@@ -93,8 +94,7 @@ class Recording:
     def __init__(self, path: str | Path, camera: DepthCamera | None = None) -> None:
         self.path = Path(path)
         self._camera = camera or DepthCamera()
-        self._info_topics: dict[str, str] = {}
-        self._color_topics: dict[str, str] = {}
+        self._info_of, self._colours_of = cache(self._find_info), cache(self._find_colours)
         self.colours = ColourImages()
         files = _storage_files(self.path)
         with ExitStack() as stack:
@@ -132,9 +132,7 @@ class Recording:
         ]
         qualified = [t for t in named if t.type == POINT_CLOUD_TYPE]
         if not qualified:
-            qualified = [t for t in named if self._is_depth(t)]
-            raw = {t.name for t in qualified if t.type == _IMAGE_TYPE}
-            qualified = [t for t in qualified if t.type == _IMAGE_TYPE or t.name.rpartition("/")[0] not in raw]
+            qualified = _images_first(filter(self._is_depth, named))
         if len(qualified) != 1:
             rule = "several topics of clouds or depth images, name one with --topic"
             if not qualified:
@@ -156,7 +154,7 @@ class Recording:
         if topic.type != _IMAGE_TYPE:
             return False
         try:
-            return self.content(next(self.messages([topic.name]))).encoding in ENCODINGS
+            return self._first(topic.name).encoding in ENCODINGS
         except (FileError, StopIteration):
             return False
 
@@ -169,9 +167,7 @@ class Recording:
         Raises:
             FileError: If the given one is absent, or holds other messages or none.
         """
-        if topic not in self._info_topics:
-            self._info_topics[topic] = self._find_info(topic)
-        return self._info_topics[topic]
+        return self._info_of(topic)
 
     def color_topic(self, topic: str) -> str:
         """Find the topic of the colours of depth images.
@@ -182,31 +178,26 @@ class Recording:
         Raises:
             FileError: If the given one is absent, or holds other messages or none.
         """
-        if topic not in self._color_topics:
-            self._color_topics[topic] = self._find_colours(topic)
-        return self._color_topics[topic]
+        return self._colours_of(topic)
 
     def _find_colours(self, topic: str) -> str:
-        kinds = (_IMAGE_TYPE, _COMPRESSED_TYPE)
-        images = [t for t in self.topics if t.count and t.type in kinds and t.name != topic]
-        if self.kind_of(topic) not in kinds:
+        images = [t for t in self.topics if t.count and t.type in _IMAGE_TYPES and t.name != topic]
+        if self.kind_of(topic) not in _IMAGE_TYPES:
             return ""
         if given := str(self._camera.color):
             if given not in (names := [image.name for image in images]):
                 raise FileError(self.path, f"--color {none_of(given, names)}", field=topic)
             return given
-        fitting = [image for image in images if self._has_colours(topic, image)]
-        raw = {image.name for image in fitting if image.type == _IMAGE_TYPE}
-        fitting = [image for image in fitting if image.name in raw or image.name.rpartition("/")[0] not in raw]
+        fitting = _images_first(image for image in images if self._has_colours(topic, image))
         return fitting[0].name if len(fitting) == 1 else ""
 
     def _has_colours(self, topic: str, images: Topic) -> bool:
         """Return whether the first image of a topic has colours, in the frame and size of the first depth image of another."""
         try:
-            image = self.content(next(self.messages([images.name])))
+            image = self._first(images.name)
             if images.type == _IMAGE_TYPE and image.encoding not in COLOUR_ENCODINGS:
                 return False
-            depth = self.content(next(self.messages([topic])))
+            depth = self._first(topic)
             colours_of(image, depth.header.frame_id, decode_depth(depth).shape)
         except (CloudError, FileError, StopIteration):
             return False
@@ -220,8 +211,8 @@ class Recording:
         return [recorded.name for recorded in self.topics if recorded.count and recorded.type == _CAMERA_INFO_TYPE]
 
     def _find_info(self, topic: str) -> str:
-        images, infos = (_IMAGE_TYPE, _COMPRESSED_TYPE), self._infos()
-        if self.kind_of(topic) not in images:
+        infos = self._infos()
+        if self.kind_of(topic) not in _IMAGE_TYPES:
             return ""
         given = self._camera.info_topic
         if given and given not in infos:
@@ -236,10 +227,8 @@ class Recording:
     def _fits(self, topic: str, info: str) -> bool:
         """Return whether the first camera info of a topic is of the frame and size of the first depth image of another."""
         try:
-            image = next(self.messages([topic]))
-            infos = CameraInfos(topic)
-            infos.add(self.content(next(self.messages([info]))), 0.0)
-            content = self.content(image)
+            infos, content = CameraInfos(topic), self._first(topic)
+            infos.add(self._first(info), 0.0)
             depth = decode_depth(content)
             infos.camera(content.header.frame_id, (depth.shape[0], depth.shape[1]), 0.0)
         except (CloudError, FileError, StopIteration):
@@ -252,7 +241,7 @@ class Recording:
         unit = f"{viewer[1]}/option/Depth Units/value" if viewer else ""
         if not self.kind_of(unit):
             return None
-        return float(self.content(next(self.messages([unit]))).data)
+        return float(self._first(unit).data)
 
     def is_converted(self, topic: str) -> bool:
         """Return whether nodes would read the depth images of a topic otherwise: with `camera_info` beside them, in the unit of their encoding."""
@@ -333,7 +322,7 @@ class Recording:
         runs = []
         for reader in self._readers:
             wanted = [channel for channel in reader.connections if topics is None or channel.topic in topics]
-            if wanted or isinstance(reader, McapFile):  # whose damage is found in any case
+            if wanted or isinstance(reader, McapStorage):  # whose damage is found in any case
                 runs.append(reader.messages(wanted))
         with known_failures(self.path):
             for connection, time_ns, raw in merge(*runs, key=itemgetter(1)):
@@ -342,7 +331,7 @@ class Recording:
                 data = bytes(_typestore(*definition).ros1_to_cdr(raw, kind)) if ros1 else plain(raw, self.path)
                 yield Message(topic, kind, counts[topic], time_ns, data, definition)
                 counts[topic] += 1
-        faults = [file.fault for file in self._readers if isinstance(file, McapFile) and file.fault]
+        faults = [file.fault for file in self._readers if isinstance(file, McapStorage) and file.fault]
         if faults:
             rule = faults[0].rule
             if len(faults) > 1:
@@ -361,6 +350,10 @@ class Recording:
             except KeyError as err:
                 rule = f"cannot be decoded: the recording does not define {err.args[0]}, which is no standard type"
                 raise FileError(self.path, rule, field=_position(message)) from err
+
+    def _first(self, topic: str) -> Any:
+        """Return the fields of the first message of a topic, as `content`; a `StopIteration` if there is none."""
+        return self.content(next(self.messages([topic])))
 
     def decode_cloud(self, message: Message, infos: CameraInfos | None = None, colours: Message | None = None) -> Cloud:
         """Decode a cloud or a depth image, with the frame and stamp of its header; a `FileError` if that fails.
@@ -525,6 +518,13 @@ def _stamp(message: Message) -> int | None:
 
 def _position(message: Message) -> str:
     return f"{message.topic}[{message.index}]"
+
+
+def _images_first(topics: Iterable[Topic]) -> list[Topic]:
+    """Return topics of images without those that hold the compressed form of another one."""
+    topics = list(topics)
+    raw = {topic.name for topic in topics if topic.type == _IMAGE_TYPE}
+    return [topic for topic in topics if topic.name in raw or topic.name.rpartition("/")[0] not in raw]
 
 
 def _listed(topics: Collection[Topic]) -> str:
