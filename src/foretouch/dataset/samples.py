@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple, overload
+from typing import Any, Final, overload
 
 import numpy as np
 
@@ -38,7 +38,8 @@ _TYPES: Final[dict[str, tuple[Any, str]]] = {
 """Types of fields, and what they are in words."""
 
 
-class Each(NamedTuple):
+@dataclass(frozen=True)
+class Each:
     """A function of each of some items, by its number: `SampleSet.read` and `name` of a list of files. It can be pickled."""
 
     items: Sequence[Any]
