@@ -165,7 +165,8 @@ def _warn(text: str) -> None:
 def _entry_points(folders: tuple[str, ...]) -> Mapping[str, Sequence[EntryPoint]]:
     """Read what installed packages add, by group, from the folders where Python looks for modules: foretouch first, then by package.
 
-    `importlib.metadata` gives the same, but takes 35 ms to be imported and 25 ms to parse what 240 packages say.
+    `importlib.metadata` gives the same, but nothing else imports it for `foretouch --help`, which takes 193 ms of a processor with it and
+    136 ms without (least of 15 runs, 275 packages); `run --help` takes 945 and 904 ms, and `import foretouch` 87 and 88 ms.
     """
     groups: defaultdict[str, list[EntryPoint]] = defaultdict(list)
     seen = set[str]()

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from command_answer import run_python
 
-from foretouch.base.processes import ONE_THREAD, one_thread_each
+from foretouch.base.processes import ONE_THREAD, process_pool
 
 STOPPED_WHILE_SENDING = """
 import threading, time
@@ -47,7 +47,7 @@ def test_children_have_one_thread_and_the_variables_are_restored(monkeypatch: py
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
     code = f"import os; print([os.environ.get(name) for name in {list(ONE_THREAD)}])"
-    with one_thread_each():
+    with process_pool(1):
         found = run_python(code)
     assert found.stdout.strip() == "['1', '1', '1']"
     assert os.environ["OMP_NUM_THREADS"] == "7"

@@ -4,8 +4,8 @@
 import numpy as np
 from pair_builders import PERIOD, REST, T0, interval, stream, true_counts
 
+from foretouch.tactile.contact_detector import LiveTare
 from foretouch.tactile.description import packaged_sensor
-from foretouch.tactile.live_tare import LiveTare
 
 MS = 1_000_000
 

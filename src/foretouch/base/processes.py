@@ -20,33 +20,24 @@ ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_N
 
 
 @contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Processes that are started within the context have one thread; the variables are restored afterwards."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name in before:
-            os.environ.pop(name, None)
-        os.environ.update({name: value for name, value in before.items() if value is not None})
+def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Start processes of one thread each that do not see Ctrl-C, which the terminal sends to them too, and that end with the context.
 
-
-@contextmanager
-def process_pool(workers: int, initializer: Callable[[], object] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """Start processes that do not see Ctrl-C, which the terminal sends to them too, and that end with the context.
-
-    `initializer`, a function of a module, is called first in each of them.
+    The environment variables are restored afterwards.
     """
-    before = set(active_children())
-    pool = _Pool(workers, get_context("spawn"), initializer)
+    children, variables = set(active_children()), {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    pool = _Pool(workers, get_context("spawn"))
     try:
         yield pool
     except BaseException:
-        pool._end(set(active_children()) - before)  # noqa: SLF001  of this module
+        pool._end(set(active_children()) - children)  # noqa: SLF001  of this module
         raise
     finally:
         pool.shutdown()
+        for name in variables:
+            os.environ.pop(name, None)
+        os.environ.update({name: value for name, value in variables.items() if value is not None})
 
 
 class _Pool(ProcessPoolExecutor):
@@ -59,7 +50,7 @@ class _Pool(ProcessPoolExecutor):
         results._writer.close()  # noqa: SLF001  or it waits for the rest of a result that a process was sending
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Start processes with SIGINT blocked: from their first moment, in which an initializer does not run yet."""
+        """Start processes with SIGINT blocked from their first moment."""
         with uninterrupted():  # or a process would miss what it is to do
             resource_tracker.ensure_running()  # it would unblock the signal
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -8,13 +8,11 @@ is extended. From a bag without samples of foretouch, samples are assembled as t
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final
 
-from foretouch.cloud.io.depth_messages import CameraInfos
 from foretouch.cloud.messages import decode_objects
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.formats import is_sample_set, open_samples
@@ -24,7 +22,6 @@ from foretouch.dataset.labelling.buffers import SeenObjects
 from foretouch.dataset.labelling.cut import PairingConfig
 from foretouch.dataset.labelling.matcher import RejectedGrasp
 from foretouch.dataset.recordings.bag import Message, Recording, is_recording
-from foretouch.dataset.recordings.bag_colours import with_colours
 from foretouch.dataset.recordings.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.writing import WriteResult, write_records
 from foretouch.errors import CloudError, DatasetError, FileError, TactileError
@@ -33,7 +30,7 @@ from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TABLE_TOPIC, TACTILE_TOPIC, full_name
-from foretouch.types import Sample, stamp_ns
+from foretouch.types import Cloud, Sample, stamp_ns
 from foretouch.types.scene import Object
 
 _PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
@@ -157,19 +154,14 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
         AssemblerConfig(pairing=_PAIRING, object=topics.object, unlabelled_s=0.0, check_clock=live), reader
     )
     now_s = 0.0
-    infos, beside = bag.first_info(topics.clouds), bag.info_topic(topics.clouds)
-    colours = bag.color_topic(topics.clouds)
-    for message, image in with_colours(bag.messages({*roles, beside, colours}), topics.clouds, colours, bag.colours):
-        if message.topic == beside:
-            infos = deepcopy(infos)  # images before it are decoded later
-            infos.add(bag.content(message), message.bag_time_ns * 1e-9)
-            continue
+    beside = bag.info_topic(topics.clouds)
+    for message, decode in bag.clouds(topics.clouds, roles):
         role = roles[message.topic]
         now_s = max(now_s, message.bag_time_ns * 1e-9) if live else 0.0  # otherwise grasps wait until the end
-        decode = partial(_objects_in, bag, message, infos if beside else None, image)
-        content = None if role == "cloud" else bag.content(message)
+        objects = partial(_objects_in, bag, message, decode if beside else None)
+        content = None if role == "cloud" else decode()
         try:
-            content = content or SeenObjects.of_message(message.data, decode, by_place=bool(beside))
+            content = content or SeenObjects.of_message(message.data, objects, by_place=bool(beside))
             assembler.add(role, content, received_ns=message.bag_time_ns, now_s=now_s)
         except (TactileError, DatasetError, CloudError):
             result.left_out[f"unreadable {message.topic}"] += 1
@@ -177,8 +169,7 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
     yield from _samples(assembler.poll(now_s, ending=True), result)
     result.left_out += assembler.rejected_clouds
     result.left_out += assembler.invalid
-    if remark := bag.colours.remark:
-        result.notes = (*result.notes, f"{bag.path}: {colours}: {remark}")
+    result.notes = (*result.notes, *bag.remarks(topics.clouds))
     result.left_out["cloud without grasps"] += assembler.clouds_without_grasps
     result.left_out["grasps without their cloud"] += len(assembler.matcher.plans)
 
@@ -193,13 +184,9 @@ def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
     return topics
 
 
-def _objects_in(
-    bag: Recording, message: Message, infos: CameraInfos | None, colours: Message | None
-) -> tuple[Object, ...]:
-    """Return the objects of an `object_cloud`; of a depth image those found in it, numbered by their distance from the camera."""
-    if infos is None:
-        return decode_objects(bag.content(message))
-    return segment(bag.decode_cloud(message, infos, colours)).objects
+def _objects_in(bag: Recording, message: Message, depth: Callable[[], Cloud] | None) -> tuple[Object, ...]:
+    """Return the objects of an `object_cloud`; of a depth image, which is decoded by `depth`, those found in it, numbered by their distance from the camera."""
+    return decode_objects(bag.content(message)) if depth is None else segment(depth()).objects
 
 
 def _samples(assembled: list[Sample | RejectedGrasp], result: WriteResult) -> Iterator[Sample]:

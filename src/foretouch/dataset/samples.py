@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple, overload
+from typing import Any, Final, overload
 
 import numpy as np
 
@@ -36,6 +36,18 @@ _TYPES: Final[dict[str, tuple[Any, str]]] = {
     "sensor": (Sensor, "a Sensor"),
 }
 """Types of fields, and what they are in words."""
+
+
+@dataclass(frozen=True)
+class Each:
+    """A function of each of some items, by its number: `SampleSet.read` and `name` of a list of files. It can be pickled."""
+
+    items: Sequence[Any]
+    function: Callable[[Any], Any]
+
+    def __call__(self, number: int) -> Any:
+        """Return what the function gives of an item."""
+        return self.function(self.items[number])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -183,8 +195,7 @@ class SampleSet(Summarised, Tabular):
         kept = tuple(given.astype(np.int64).tolist())
         if wrong := [k for k in kept if not 0 <= k < self.size]:
             raise DatasetError(f"{self.path}: {wrong[0]} is not the number of a sample, 0 to {self.size - 1}")
-        chosen = _Chosen(self, kept)
-        return replace(self, size=len(kept), read=chosen.read, name=chosen.name)
+        return replace(self, size=len(kept), read=Each(kept, self.read), name=Each(kept, self.name))
 
     def filter(self, keep: Callable[[Sample], bool]) -> "SampleSet":
         """Return the samples for which a function is true; it is asked now, once for each sample, also for discarded ones.
@@ -199,19 +210,6 @@ class SampleSet(Summarised, Tabular):
     def with_discarded(self) -> Iterator[Sample]:
         """Return the samples in order, also those that the operator discarded."""
         return (self.read(k) for k in range(self.size))
-
-
-class _Chosen(NamedTuple):
-    """Some samples of a set."""
-
-    samples: SampleSet
-    numbers: tuple[int, ...]
-
-    def read(self, number: int) -> Sample:
-        return self.samples.read(self.numbers[number])
-
-    def name(self, number: int) -> str:
-        return self.samples.name(self.numbers[number])
 
 
 def _is_labelled(sample: Sample) -> bool:

@@ -190,8 +190,7 @@ def _recorded(
     with Recording(path, camera) as recording:
         for message, decode in recording.clouds(topic):
             yield f"{path}[{message.index}]", decode
-        remark = recording.colours.remark
-        remarks[:] = [f"{path}: {recording.color_topic(topic)}: {remark}"] if remark else []
+        remarks[:] = recording.remarks(topic)
 
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Online contact detection from the readings of a tactile sensor.
+"""Online contact detection, and the tare, from the readings of a tactile sensor.
 
 Each reading of a finger is compared with a recent reference of the same finger without contact. Every change is
 divided by the noise of its channel, and
@@ -14,7 +14,7 @@ the limit of 3; one electrode that moves by fifteen deviations reaches it, and s
 touch relaxes by up to 8 counts/s: over 45 s of such recordings the limit of 3 causes no false alarm, 2.5 causes two.
 
 Contact begins with the first of `_CONFIRM` consecutive readings above 1 and ends with the first of `_CONFIRM` consecutive
-readings below `RELEASE_LEVEL`. The reference follows drift: it is the median over `WINDOW_S` that end `LAG_S` ago, and
+readings below `RELEASE_LEVEL`. The reference follows drift: it is the median over `_WINDOW_NS` that end `_LAG_NS` ago, and
 is frozen during contact. A contact that lasts longer than `LONGEST_S` is considered drift and is ended.
 """
 
@@ -25,20 +25,21 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.tactile.channels import BIOTAC
-from foretouch.types import SECOND_NS, Bool, Float64, Int64
+from foretouch.tactile.readings import rest_of, touch_faults
+from foretouch.types import SECOND_NS, Bool, Float32, Float64, Int64, Touch
 from foretouch.types.channels import Channels
 
 _TAXEL_LIMIT: Final = 3.0  # rms of the taxels' changes that counts as contact [deviations]
 _SINGLE_LIMIT: Final = 12.0  # change of a finger's single value, such as PDC [deviations]
 RELEASE_LEVEL: Final = 0.7  # score below which contact ends
 _CONFIRM: Final = 3  # consecutive readings that confirm a change
-WINDOW_S: Final = 0.5  # over which the reference is computed [s]
+_WINDOW_NS: Final = 500_000_000  # over which the reference is computed [ns]
 SETTLE_NS: Final = 300_000_000
 """From first to steady contact; a shorter one is a glitch or lost packets [ns]."""
 
 _SOON_NS: Final = 100_000_000  # after the onset, within which a contact differs from the readings before [ns]
 _DRIFTED: Final = 0.5  # score of a reference against the rest, above which the finger has drifted
-LAG_S: Final = 0.3  # between the reference and now: a slower contact is considered drift [s]
+_LAG_NS: Final = 300_000_000  # between the reference and now: a slower contact is considered drift [ns]
 LONGEST_S: Final = 120.0  # of a contact; longer ones are considered drift [s]
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
 _MAX_READINGS: Final = 20_000  # far more than the window and the lag hold at any rate; stamps may repeat
@@ -120,12 +121,11 @@ class FingerContact:
     def _update_reference(self, stamp_ns: int, reading: Float64) -> None:
         """Compute the reference from the recent readings without contact."""
         self._recent.append((stamp_ns, reading))
-        newest = stamp_ns - round(LAG_S * SECOND_NS)
-        oldest = newest - round(WINDOW_S * SECOND_NS)
-        while self._recent and self._recent[0][0] < oldest:
+        newest = stamp_ns - _LAG_NS
+        while self._recent and self._recent[0][0] < newest - _WINDOW_NS:
             self._recent.popleft()
         self._since_update += 1
-        spans = stamp_ns - self._recent[0][0] >= round((LAG_S + WINDOW_S) * 0.9 * SECOND_NS)
+        spans = stamp_ns - self._recent[0][0] >= 0.9 * (_LAG_NS + _WINDOW_NS)
         if not spans or (self._reference is not None and self._since_update < _REFERENCE_INTERVAL):
             return
         window = np.array([counts for stamp, counts in self._recent if stamp <= newest])
@@ -163,6 +163,87 @@ class ContactDetector:
             finger.reset()
 
 
+class LiveTare:
+    """The tare of a stream of readings of a sensor: its readings while it touches nothing. Not thread-safe.
+
+    A reading is at rest if neither finger is in contact, nor will be within `_LAG_NS`: a contact is detected a moment after it has begun.
+    The tare is the median over the last `_WINDOW_NS` of rest, and 0 for channels whose rest level is zero; during a grasp, the tare from
+    before is kept, and ages.
+
+    Args:
+        channels: What the values of a reading are.
+
+    Attributes:
+        fault: Why the last rest gives no tare, such as a dead sensor.
+    """
+
+    def __init__(self, channels: Channels = BIOTAC) -> None:
+        self.fault = ""
+        self._channels = channels
+        self._detector = ContactDetector(channels)
+        self._recent: deque[tuple[int, Float32]] = deque(maxlen=_MAX_READINGS)
+        self._rest: list[Float32] = []
+        self._rest_ns = 0
+        self._rest_s = 0.0
+        self._tare: Touch | None = None
+        self._since_renewal = 0
+
+    def update(self, stamp_ns: int, counts: Float32, now_s: float) -> None:
+        """Add a reading (D,), as `Touch.values`, whose stamp [ns] the `TouchBuffer` has accepted.
+
+        `now_s` is the time of a clock that never goes back [s].
+        """
+        self._detector.update(stamp_ns, counts)
+        touching = [finger.touching for finger in self._detector.fingers.values()]
+        if any(touching):
+            self._recent.clear()  # its end may belong to the contact; the rest before it is kept
+            return
+        self._recent.append((stamp_ns, counts))
+        while self._recent[0][0] < stamp_ns - _LAG_NS - _WINDOW_NS:
+            self._recent.popleft()
+        self._since_renewal += 1
+        if self._since_renewal >= _REFERENCE_INTERVAL and None not in touching:
+            self._renew(stamp_ns, now_s)
+
+    def tare(self, now_s: float, max_age_s: float) -> Touch | None:
+        """Return the median of the last rest; None if there is no recent one, or a sensor does not work."""
+        if self.age_s(now_s) > max_age_s:
+            return None
+        if self._tare is None and not self.fault:
+            touch = rest_of(np.median(self._rest, axis=0), self._channels)
+            self.fault = "; ".join(touch_faults(touch))
+            self._tare = None if self.fault else touch
+        return self._tare
+
+    def age_s(self, now_s: float) -> float:
+        """Return the time since the last rest [s]; infinite if there was none."""
+        return now_s - self._rest_s if self._rest else float("inf")
+
+    def exclude(self, contact_ns: int, release_ns: int) -> None:
+        """Reset a tare from within a reported grasp [ns, ns), such as where the stream began in contact."""
+        if self._rest and contact_ns <= self._rest_ns < release_ns:
+            self.reset()
+
+    def reset(self) -> None:
+        """Restart, after the clock has jumped or a contact was taken for rest."""
+        self._detector.reset()
+        self._recent.clear()
+        self._rest = []
+        self._tare = None
+        self.fault = ""
+
+    def _renew(self, stamp_ns: int, now_s: float) -> None:
+        newest = stamp_ns - _LAG_NS
+        rest = [counts for stamp, counts in self._recent if stamp <= newest]
+        if len(rest) >= 5 and newest - self._recent[0][0] >= 0.8 * _WINDOW_NS:
+            self._rest = rest
+            self._rest_ns = newest
+            self._rest_s = now_s - _LAG_NS / SECOND_NS
+            self._tare = None
+            self.fault = ""
+            self._since_renewal = 0
+
+
 def _resting_noise(readings: Float64, channels: Channels) -> Float64:
     """Return (M,) standard deviation of each value in (T, M) readings of a finger without contact, at least what is stated."""
     spread = 1.4826 * np.median(np.abs(readings - np.median(readings, axis=0)), axis=0)
@@ -192,7 +273,7 @@ def find_contact(
 ) -> tuple[SeriesContact, ...]:
     """Find the contact of each finger in a series of readings, by `contact_scores`.
 
-    It is looked for after the readings at rest. What is slower than `LAG_S` is drift and no contact, as online, and what ends within
+    It is looked for after the readings at rest. What is slower than `_LAG_NS` is drift and no contact, as online, and what ends within
     `SETTLE_NS` is a glitch, such as lost packets.
 
     Args:
@@ -207,7 +288,6 @@ def find_contact(
 
 def _contact_of(stamps_ns: Int64, values: Float64, rest: int, channels: Channels) -> SeriesContact:
     """Find the longest contact of a finger, in its (T, M) values."""
-    lag, window = round(LAG_S * SECOND_NS), round(WINDOW_S * SECOND_NS)
     noise = _resting_noise(values[:rest], channels)
 
     def scores(part: Float64, reference: Float64) -> Float64:
@@ -217,7 +297,9 @@ def _contact_of(stamps_ns: Int64, values: Float64, rest: int, channels: Channels
     begin, drifted, found = rest, False, list[tuple[int, int]]()
     while (onset := _first_run(score > 1.0, begin)) < len(values):
         onset_ns = stamps_ns[onset]
-        first, last, soon = np.searchsorted(stamps_ns, [onset_ns - lag - window, onset_ns - lag, onset_ns + _SOON_NS])
+        first, last, soon = np.searchsorted(
+            stamps_ns, [onset_ns - _LAG_NS - _WINDOW_NS, onset_ns - _LAG_NS, onset_ns + _SOON_NS]
+        )
         recent, after = values[first:last], values[onset : max(soon, onset + _CONFIRM)]
         if len(recent) >= _CONFIRM:
             reference = np.median(recent, axis=0)

@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from dataclasses import replace as replace_fields
 from functools import cache
 from typing import Any, ClassVar, Final, Self, TypeAlias
@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final, Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ForetouchError, NoSuchRowError, shown
+from foretouch.errors import ForetouchError, NoSuchRowError, require_type, shown
 
 AnyArray = npt.NDArray[Any]
 Bool = npt.NDArray[np.bool_]
@@ -79,10 +79,7 @@ def require_types(record: Any, types: Mapping[str, tuple[Any, str]], fault: type
     """
     values = vars(record)
     for name, (kinds, what) in types.items():
-        value = values[name]
-        if not isinstance(value, kinds):
-            given = shown(value) if isinstance(value, str | int | float | None) else type(value).__name__
-            raise fault(f"{name}: {given} is not {what}")
+        require_type(values[name], kinds, name, f"not {what}", fault)
 
 
 def unmasked(value: Any) -> AnyArray:
@@ -209,12 +206,12 @@ class Columns:
         return np.full((count, *(size or 0 for size in row)), array)
 
     def __len__(self) -> int:
-        return len(getattr(self, _columns(type(self))[0].name))
+        return len(getattr(self, _layout(type(self))[0][0]))
 
     @classmethod
     def column_names(cls) -> tuple[str, ...]:
         """Return names of the columns, in order."""
-        return _names(cls)
+        return tuple(name for name, *_ in _layout(cls))
 
     def place_of(self, number: int) -> int:
         """Return the place of a row, which counts from the end if it is negative; a `NoSuchRowError` if it is not there."""
@@ -264,15 +261,10 @@ class Columns:
         return parts[0].replace(**joined)
 
 
-def _find_columns(kind: Any) -> "tuple[Field[Any], ...]":
-    return tuple(info for info in fields(kind) if _ROW in info.metadata)
-
-
-_columns: "Callable[[Any], tuple[Field[Any], ...]]" = cache(_find_columns)
 _layout: "Callable[[Any], tuple[tuple[str, tuple[int | None, ...], Any], ...]]" = cache(
-    lambda kind: tuple((info.name, *info.metadata[_ROW]) for info in _columns(kind))
+    lambda kind: tuple((info.name, *info.metadata[_ROW]) for info in fields(kind) if _ROW in info.metadata)
 )
-_names: "Callable[[Any], tuple[str, ...]]" = cache(lambda kind: tuple(info.name for info in _columns(kind)))
+"""Returns name, shape of a row and dtype of each column of a class."""
 
 
 def _fits(shape: tuple[int, ...], row: tuple[int | None, ...]) -> bool:

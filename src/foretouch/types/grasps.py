@@ -11,7 +11,7 @@ import numpy as np
 from foretouch.errors import ForetouchError, GraspError, quoted, shown
 from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain, scalar
 from foretouch.types.channels import NO_CHANNELS
-from foretouch.types.rotations import are_absent, check_rotation, quaternion_xyzw, require_rotations
+from foretouch.types.rotations import are_absent, check_rotation, fault_texts, quaternion_xyzw, require_rotations
 from foretouch.types.summary import Summarised, names_of, spread, tallied
 from foretouch.types.tables import LabelledTable, Tabular, Variable, labels_of, texts
 
@@ -149,20 +149,15 @@ def _all_finite(rows: Float64) -> Bool:
 
 def contact_faults(g1: Float64, g2: Float64, rotation: Float64) -> list[str]:
     """Say why (K, 3) contacts and (K, 3, 3) rotations are no grasps: not finite, or both contacts at one place; else ""."""
-    apart = (g1 != g2).any(axis=1)
-    finite = {"g1": _all_finite(g1), "g2": _all_finite(g2), "rotation": _all_finite(rotation)}
-    fine = apart & finite["g1"] & finite["g2"] & finite["rotation"]
-    faults = [""] * len(g1)
-    if fine.all():
-        return faults
-    for k in np.flatnonzero(~fine).tolist():
-        arrays = {"g1": g1[k], "g2": g2[k], "rotation": rotation[k]}
-        wrong = next((name for name in arrays if not finite[name][k]), "")
-        if wrong:
-            faults[k] = f"{wrong}: {arrays[wrong].tolist()} is not finite"
-        else:
-            faults[k] = f"g1, g2: both contacts are at {g1[k].tolist()}"
-    return faults
+    arrays = {"g1": g1, "g2": g2, "rotation": rotation}
+    finite = {name: _all_finite(rows) for name, rows in arrays.items()}
+
+    def text(k: int) -> str:
+        if wrong := next((name for name in arrays if not finite[name][k]), ""):
+            return f"{wrong}: {arrays[wrong][k].tolist()} is not finite"
+        return f"g1, g2: both contacts are at {g1[k].tolist()}"
+
+    return fault_texts((g1 != g2).any(axis=1) & finite["g1"] & finite["g2"] & finite["rotation"], text)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

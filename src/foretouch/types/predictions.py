@@ -204,11 +204,8 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
             status: Of all, or a list of K.
             reason: Of all, or a list of K.
         """
-        nothing = np.full((len(grasps), channels.size), np.nan)
-        count = len(grasps)
-        statuses = objects([status] * count if isinstance(status, str) else status)
-        reasons = objects([reason] * count if isinstance(reason, str) else reason)
-        return cls(nothing, grasps, channels, status=statuses, reason=reasons)
+        columns: dict[str, Any] = {"status": status, "reason": reason}
+        return cls(np.full((len(grasps), channels.size), np.nan), grasps, channels, **columns)
 
     @property
     def ok(self) -> Bool:

@@ -34,24 +34,8 @@ class LabelledTable:
     labels: Mapping[str, tuple[Any, ...]]  # along the dimensions but the first
     facts: Mapping[str, str] = field(default_factory=dict)  # of all of them, such as the sensor
 
-    def to_pandas(self) -> "DataFrame":
-        """Return a table with a row for each grasp; what has several numbers has a column for each, such as `g1_x`."""
-        table = _optional("pandas").DataFrame(dict(self._columns()))
-        table.attrs.update(self.facts)
-        return table
-
-    def to_xarray(self) -> "Dataset":
-        """Return a dataset with named dimensions and units."""
-        variables = {
-            name: (dims, values, {"units": unit} if unit else {})
-            for name, (dims, values, unit) in self.variables.items()
-        }
-        used = {dim for one in self.variables.values() for dim in one.dims[1:]}
-        labels = {dim: list(labels) for dim, labels in self.labels.items() if dim in used}
-        dataset: Dataset = _optional("xarray").Dataset(variables, labels, dict(self.facts))
-        return dataset
-
-    def _columns(self) -> Iterator[tuple[str, AnyArray]]:
+    def columns(self) -> Iterator[tuple[str, AnyArray]]:
+        """Iterate over the names and numbers of the columns of a flat table."""
         for name, (dims, values, _) in self.variables.items():
             for labels in product(*(enumerate(self.labels[dim]) for dim in dims[1:])):
                 place: tuple[Any, ...] = (slice(None), *(k for k, _ in labels))
@@ -72,7 +56,10 @@ class Tabular:
         Raises:
             MissingDependencyError: If pandas is not installed.
         """
-        return self._table().to_pandas()
+        shown = self._table()
+        table = _optional("pandas").DataFrame(dict(shown.columns()))
+        table.attrs.update(shown.facts)
+        return table
 
     def to_xarray(self) -> "Dataset":
         """Return an `xarray.Dataset` with named dimensions, such as (row, finger, taxel), and units in `attrs`.
@@ -80,7 +67,15 @@ class Tabular:
         Raises:
             MissingDependencyError: If xarray is not installed.
         """
-        return self._table().to_xarray()
+        table = self._table()
+        variables = {
+            name: (dims, values, {"units": unit} if unit else {})
+            for name, (dims, values, unit) in table.variables.items()
+        }
+        used = {dim for one in table.variables.values() for dim in one.dims[1:]}
+        labels = {dim: list(labels) for dim, labels in table.labels.items() if dim in used}
+        dataset: Dataset = _optional("xarray").Dataset(variables, labels, dict(table.facts))
+        return dataset
 
 
 def labels_of(channels: Channels) -> dict[str, tuple[Any, ...]]:

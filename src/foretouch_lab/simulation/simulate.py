@@ -16,7 +16,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from foretouch.base.processes import one_thread_each, process_pool
+from foretouch.base.processes import process_pool
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.tactile.messages.biotac import FINGERS, OTHERS
 from foretouch.types import Sample
@@ -198,7 +198,7 @@ def _given_up(failures: list[Failure]) -> SimulationError:
 
 def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterator[_Block]:
     """Iterate over blocks in order from several processes, a few made ahead of the reader."""
-    with one_thread_each(), process_pool(workers) as pool:
+    with process_pool(workers) as pool:
         pending: deque[Future[_Block]] = deque()
         try:
             for slots in blocks:

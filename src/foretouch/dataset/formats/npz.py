@@ -2,8 +2,7 @@
 """Samples as NumPy archives: `<object>/<name>.npz`, one a sample; `foretouch.cloud.io.files` reads their clouds too."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -15,7 +14,7 @@ from foretouch.cloud.io.files import archived_cloud
 from foretouch.cloud.messages import cloud_fields, header_fields
 from foretouch.dataset.identity import Identity, check_id
 from foretouch.dataset.recordings.sample_codec import StoredSample, sample_fields, stored_sample
-from foretouch.dataset.samples import ExportResult, SampleSet
+from foretouch.dataset.samples import Each, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError, ForetouchError, none_of
 from foretouch.grasp.messages import encode_grasp
 from foretouch.tactile.channels import BIOTAC_SP
@@ -139,34 +138,22 @@ def recognise(path: Path) -> bool:
 
 def open_set(path: Path, _: bool) -> SampleSet:
     """Return the samples in archives; a `FileError` names one that is none, or of another hand."""
-    archives = _Archives(tuple(_files(path)))
-    first = archives.first
+    files = _files(path)
+    first = _read(files[0])
     return SampleSet(
         path=path,
         kind="npz",
-        size=len(archives.files),
-        read=archives.read,
-        name=archives.name,
+        size=len(files),
+        read=Each(files, partial(_read_as, first, files[0])),
+        name=Each(files, str),
         identity=first.identity,
         sensor=first.sensor,
     )
 
 
-@dataclass(frozen=True)
-class _Archives:
-    """Archives of samples of the same hand, camera and sensor."""
-
-    files: tuple[Path, ...]
-
-    @cached_property
-    def first(self) -> StoredSample:
-        return _read(self.files[0])
-
-    def read(self, number: int) -> Sample:
-        stored, own, other = _read(self.files[number])
-        if own != self.first.identity or other.sha256 != self.first.sensor.sha256:
-            raise FileError(self.files[number], f"is of another hand, camera or sensor than {self.files[0]}")
-        return stored
-
-    def name(self, number: int) -> str:
-        return str(self.files[number])
+def _read_as(first: StoredSample, beside: Path, path: Path) -> Sample:
+    """Return the sample in an archive; a `FileError` if it is of another hand, camera or sensor than the first one."""
+    sample, identity, sensor = _read(path)
+    if identity != first.identity or sensor.sha256 != first.sensor.sha256:
+        raise FileError(path, f"is of another hand, camera or sensor than {beside}")
+    return sample

@@ -15,14 +15,14 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, count
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from foretouch.base.files import read_bytes, write_text
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.identity import Identity, check_id
-from foretouch.dataset.samples import ExportResult, SampleSet, only_finite
+from foretouch.dataset.samples import Each, ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, FileError, GraspError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.tactile import BIOTAC, ELECTRODES, biotac_touch
@@ -139,21 +139,9 @@ def recognise(path: Path) -> bool:
 
 def open_set(path: Path, _: bool) -> SampleSet:
     """Return the samples in the folders at a path."""
-    folders = _Folders(tuple(sorted(_folders_in(path))))
-    size = len(folders.paths)
-    return SampleSet(path, "vision2tactile", size, read=folders.read, name=folders.name, identity=_IDENTITY)
-
-
-class _Folders(NamedTuple):
-    """Folders of samples."""
-
-    paths: tuple[Path, ...]
-
-    def read(self, number: int) -> Sample:
-        return _read_sample(self.paths[number])
-
-    def name(self, number: int) -> str:
-        return str(self.paths[number])
+    folders = sorted(_folders_in(path))
+    read, name = Each(folders, _read_sample), Each(folders, str)
+    return SampleSet(path, "vision2tactile", len(folders), read, name, identity=_IDENTITY)
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:

@@ -175,12 +175,7 @@ class SampleAssembler:
         results: list[Sample | RejectedGrasp] = [*self._unlabelled]
         self._unlabelled.clear()
         for match in self.matcher.poll(now_s, ending=ending):
-            result: Sample | RejectedGrasp
-            try:
-                result = match if isinstance(match, RejectedGrasp) else self._labelled(match)
-            except PairingError as err:
-                name = match.executed.grasp_id if isinstance(match, MatchedGrasp) else match.grasp_id
-                result = RejectedGrasp(grasp_id=name, reason=err.reason, message=str(err))
+            result = match if isinstance(match, RejectedGrasp) else self._labelled(match)
             self.results["recorded" if isinstance(result, Sample) else result.reason] += 1
             results.append(result)
         if ending:
@@ -208,52 +203,49 @@ class SampleAssembler:
 
     # Records.
 
-    def _labelled(self, match: MatchedGrasp) -> Sample:
+    def _labelled(self, match: MatchedGrasp) -> Sample | RejectedGrasp:
         label, executed = match.label or Label(), match.executed
-        grasp, candidates, left_out = _grasps(match.plan, executed.grasp_id)
-        seen = _object_of(match.cloud, match.plan.frame_id, grasp)
+        try:
+            planned = self._planned(match.plan, match.cloud, executed.grasp_id, label.note)
+        except PairingError as err:
+            return RejectedGrasp(grasp_id=executed.grasp_id, reason=err.reason, message=str(err))
         stated = {"clock_offset_s", *self._reader.temperatures}
         self._labelled_clouds.add(match.cloud.stamp_ns)
         return replace(
             match.sample,
+            **planned,
             object=label.object or self._object_at(executed.interval.start if executed.interval else 0),
-            cloud=self._kept(seen.cloud),
-            table=self._table_of(seen),
-            grasp=grasp,
             stamp_ns=executed.interval.contact if executed.interval else 0,
             extra={name: value for name, value in match.sample.extra.items() if name.removeprefix("tare_") in stated},
-            candidates=candidates,
             outcome=_outcome(match),
-            note="; ".join(filter(None, (self.config.note, label.note, left_out))),
             flags=(*self._reader.flags, *executed.flags, *match.sample.flags, *([DISCARDED] if label.discard else [])),
         )
 
-    def _kept(self, cloud: Cloud) -> Cloud:
-        """Return the points of a sample, with their colours if these are wanted."""
-        return cloud if self.config.colours or cloud.rgb is None else replace(cloud, rgb=None)
+    def _without_touch(self, cloud: SeenObjects, plan: PlannedGrasps) -> Sample:
+        planned = self._planned(plan, cloud, plan.grasps[0].id)
+        return Sample(id="", object=self._object_at(cloud.stamp_ns), stamp_ns=cloud.stamp_ns, **planned)
 
-    def _table_of(self, seen: Object) -> Plane:
-        """Return the table of an object: its own, or that of a message about its cloud in the same frame."""
-        frame_id, table = self._tables.get(seen.cloud.stamp_ns, ("", seen.plane))
-        return table if seen.plane.assumed and frame_id == seen.cloud.frame_id else seen.plane
+    def _planned(self, plan: PlannedGrasps, cloud: SeenObjects, grasp_id: str, remark: str = "") -> dict[str, Any]:
+        """Return what a sample holds besides its touch: the points, the table, the grasps and the note.
+
+        Its table is that of the object, or of a message about its cloud in the same frame. Raises a `PairingError` if the grasp or its
+        object is not known.
+        """
+        grasp, candidates, left_out = _grasps(plan, grasp_id)
+        seen = _object_of(cloud, plan.frame_id, grasp)
+        points = seen.cloud if self.config.colours or seen.cloud.rgb is None else replace(seen.cloud, rgb=None)
+        frame_id, table = self._tables.get(points.stamp_ns, ("", seen.plane))
+        return {
+            "cloud": points,
+            "table": table if seen.plane.assumed and frame_id == points.frame_id else seen.plane,
+            "grasp": grasp,
+            "candidates": candidates,
+            "note": "; ".join(filter(None, (self.config.note, remark, left_out))),
+        }
 
     def _object_at(self, stamp_ns: int) -> str:
         """Return the label of the object on the table at a time, such as when the hand began to close; by default the first."""
         return next((label for since, label in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
-
-    def _without_touch(self, cloud: SeenObjects, plan: PlannedGrasps) -> Sample:
-        grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)
-        seen = _object_of(cloud, plan.frame_id, grasp)
-        return Sample(
-            id="",
-            object=self._object_at(cloud.stamp_ns),
-            cloud=self._kept(seen.cloud),
-            table=self._table_of(seen),
-            grasp=grasp,
-            stamp_ns=cloud.stamp_ns,
-            candidates=candidates,
-            note="; ".join(filter(None, (self.config.note, left_out))),
-        )
 
 
 def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...], str]:

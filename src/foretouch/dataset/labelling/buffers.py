@@ -11,6 +11,7 @@ from bisect import bisect_left, bisect_right
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Self
 
 import numpy as np
@@ -27,6 +28,7 @@ _MB = 1_000_000
 _LEAP_NS = SECOND_NS  # a stamp further than this from the newest is a leap; a smaller step back is jitter
 _TRIM_EVERY = 100  # readings; removing the front of a list takes time
 _MAX_READINGS = 100_000
+_TIME = attrgetter("time_ns")
 _SAME_M = 1e-5  # difference of points that were rounded on their way to another frame and back
 
 
@@ -57,11 +59,10 @@ class TouchBuffer:
         self.newest_ns: int | None = None  # latest stamp [ns], None before the first
         self._kept_ns = round(kept_s * SECOND_NS)
         self._suspect: TactileReading | None = None
-        self._stamps: list[int] = []
-        self._readings: list[TactileReading] = []
+        self._readings: list[TactileReading] = []  # by their times
 
     def __len__(self) -> int:
-        return len(self._stamps)
+        return len(self._readings)
 
     def add(self, reading: TactileReading) -> tuple[TactileReading, ...]:
         """Add a reading, in any order, and return the readings that are accepted now.
@@ -78,7 +79,8 @@ class TouchBuffer:
 
     def between(self, low_ns: int, high_ns: int) -> TouchWindow:
         """Return the readings stamped in [low, high)."""
-        rows = self._readings[bisect_left(self._stamps, low_ns) : bisect_left(self._stamps, high_ns)]
+        first, end = (bisect_left(self._readings, stamp, key=_TIME) for stamp in (low_ns, high_ns))
+        rows = self._readings[first:end]
         return TouchWindow(
             np.array([r.time_ns for r in rows], np.int64),
             np.array([r.counts for r in rows], np.float32).reshape(len(rows), self.channels.size),
@@ -89,16 +91,14 @@ class TouchBuffer:
     def _insert(self, reading: TactileReading) -> None:
         stamp, newest = reading.time_ns, self.newest_ns
         if newest is None or stamp > newest:
-            self._stamps.append(stamp)
             self._readings.append(reading)
             self.newest_ns = stamp
         else:
-            index = bisect_right(self._stamps, stamp)
-            duplicate = index > 0 and self._stamps[index - 1] == stamp
+            index = bisect_right(self._readings, stamp, key=_TIME)
+            duplicate = index > 0 and self._readings[index - 1].time_ns == stamp
             self.anomalies["duplicate_stamp" if duplicate else "out_of_order"] += 1
-            self._stamps.insert(index, stamp)
             self._readings.insert(index, reading)
-        if len(self._stamps) % _TRIM_EVERY == 0 or len(self._stamps) > _MAX_READINGS:
+        if len(self) % _TRIM_EVERY == 0 or len(self) > _MAX_READINGS:
             self._trim()
 
     def _add_leap(self, reading: TactileReading) -> tuple[TactileReading, ...]:
@@ -111,19 +111,17 @@ class TouchBuffer:
         self._suspect = None
         if self.newest_ns is not None and before.time_ns < self.newest_ns:
             self.anomalies["clock_jump"] += 1
-            self._stamps.clear()
             self._readings.clear()
         else:
             self.anomalies["stamp_gap"] += 1
-        self.newest_ns = self._stamps[-1] if self._stamps else None
+        self.newest_ns = self._readings[-1].time_ns if self._readings else None
         self._insert(before)
         self._insert(reading)
         return before, reading
 
     def _trim(self) -> None:
-        old = bisect_left(self._stamps, (self.newest_ns or 0) - self._kept_ns)
-        first = max(old, len(self._stamps) - _MAX_READINGS)  # at least 0
-        del self._stamps[:first], self._readings[:first]
+        old = bisect_left(self._readings, (self.newest_ns or 0) - self._kept_ns, key=_TIME)
+        del self._readings[: max(old, len(self) - _MAX_READINGS)]  # at least 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ were recorded, for replay, and the clouds in them. For writing see `foretouch.da
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import ExitStack, suppress
 from copy import deepcopy
 from dataclasses import dataclass
@@ -25,11 +25,10 @@ from foretouch.base.files import open_regular, require_existing
 from foretouch.cloud.io.colours import COLOUR_ENCODINGS, ColourImages, colours_of
 from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, decode_depth, info_topic
-from foretouch.cloud.messages import decode_cloud
+from foretouch.cloud.messages import decode_cloud, read_header
 from foretouch.config import load_yaml
-from foretouch.dataset.recordings.bag_colours import with_colours
-from foretouch.dataset.recordings.bag_files import PACKED, McapFile, known_failures, open_storage, plain
-from foretouch.errors import CloudError, FileError, ForetouchError, none_of
+from foretouch.dataset.recordings.bag_files import PACKED, McapStorage, known_failures, open_storage, plain
+from foretouch.errors import CloudError, DatasetError, FileError, ForetouchError, none_of
 from foretouch.types import Cloud, UInt8, stamp_ns
 
 if TYPE_CHECKING:
@@ -41,12 +40,14 @@ if TYPE_CHECKING:
 POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 _IMAGE_TYPE = "sensor_msgs/msg/Image"
 _COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
+_IMAGE_TYPES = (_IMAGE_TYPE, _COMPRESSED_TYPE)
 _CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _HEADER_TYPE = "std_msgs/msg/Header"
 RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
 _PACKED_SUFFIXES: Final = (f".mcap{PACKED}", f".db3{PACKED}")
 _METADATA: Final = "metadata.yaml"
 _VIEWER: Final = re.compile(r"(/device_\d+/sensor_\d+)/(\w+)/image/data")  # images in recordings of librealsense
+_WAIT_NS: Final = 100_000_000  # recorded time for which a depth image is held back for its colours, as in a node
 _TAXELS = "/foretouch/taxels/"  # clouds that are no camera's, in recordings of foretouch 0.3 and older
 
 
@@ -93,8 +94,7 @@ class Recording:
     def __init__(self, path: str | Path, camera: DepthCamera | None = None) -> None:
         self.path = Path(path)
         self._camera = camera or DepthCamera()
-        self._info_topics: dict[str, str] = {}
-        self._color_topics: dict[str, str] = {}
+        self._info_of, self._colours_of = cache(self._find_info), cache(self._find_colours)
         self.colours = ColourImages()
         files = _storage_files(self.path)
         with ExitStack() as stack:
@@ -132,9 +132,7 @@ class Recording:
         ]
         qualified = [t for t in named if t.type == POINT_CLOUD_TYPE]
         if not qualified:
-            qualified = [t for t in named if self._is_depth(t)]
-            raw = {t.name for t in qualified if t.type == _IMAGE_TYPE}
-            qualified = [t for t in qualified if t.type == _IMAGE_TYPE or t.name.rpartition("/")[0] not in raw]
+            qualified = _images_first(filter(self._is_depth, named))
         if len(qualified) != 1:
             rule = "several topics of clouds or depth images, name one with --topic"
             if not qualified:
@@ -156,7 +154,7 @@ class Recording:
         if topic.type != _IMAGE_TYPE:
             return False
         try:
-            return self.content(next(self.messages([topic.name]))).encoding in ENCODINGS
+            return self._first(topic.name).encoding in ENCODINGS
         except (FileError, StopIteration):
             return False
 
@@ -169,9 +167,7 @@ class Recording:
         Raises:
             FileError: If the given one is absent, or holds other messages or none.
         """
-        if topic not in self._info_topics:
-            self._info_topics[topic] = self._find_info(topic)
-        return self._info_topics[topic]
+        return self._info_of(topic)
 
     def color_topic(self, topic: str) -> str:
         """Find the topic of the colours of depth images.
@@ -182,31 +178,26 @@ class Recording:
         Raises:
             FileError: If the given one is absent, or holds other messages or none.
         """
-        if topic not in self._color_topics:
-            self._color_topics[topic] = self._find_colours(topic)
-        return self._color_topics[topic]
+        return self._colours_of(topic)
 
     def _find_colours(self, topic: str) -> str:
-        kinds = (_IMAGE_TYPE, _COMPRESSED_TYPE)
-        images = [t for t in self.topics if t.count and t.type in kinds and t.name != topic]
-        if self.kind_of(topic) not in kinds:
+        images = [t for t in self.topics if t.count and t.type in _IMAGE_TYPES and t.name != topic]
+        if self.kind_of(topic) not in _IMAGE_TYPES:
             return ""
         if given := str(self._camera.color):
             if given not in (names := [image.name for image in images]):
                 raise FileError(self.path, f"--color {none_of(given, names)}", field=topic)
             return given
-        fitting = [image for image in images if self._has_colours(topic, image)]
-        raw = {image.name for image in fitting if image.type == _IMAGE_TYPE}
-        fitting = [image for image in fitting if image.name in raw or image.name.rpartition("/")[0] not in raw]
+        fitting = _images_first(image for image in images if self._has_colours(topic, image))
         return fitting[0].name if len(fitting) == 1 else ""
 
     def _has_colours(self, topic: str, images: Topic) -> bool:
         """Return whether the first image of a topic has colours, in the frame and size of the first depth image of another."""
         try:
-            image = self.content(next(self.messages([images.name])))
+            image = self._first(images.name)
             if images.type == _IMAGE_TYPE and image.encoding not in COLOUR_ENCODINGS:
                 return False
-            depth = self.content(next(self.messages([topic])))
+            depth = self._first(topic)
             colours_of(image, depth.header.frame_id, decode_depth(depth).shape)
         except (CloudError, FileError, StopIteration):
             return False
@@ -220,8 +211,8 @@ class Recording:
         return [recorded.name for recorded in self.topics if recorded.count and recorded.type == _CAMERA_INFO_TYPE]
 
     def _find_info(self, topic: str) -> str:
-        images, infos = (_IMAGE_TYPE, _COMPRESSED_TYPE), self._infos()
-        if self.kind_of(topic) not in images:
+        infos = self._infos()
+        if self.kind_of(topic) not in _IMAGE_TYPES:
             return ""
         given = self._camera.info_topic
         if given and given not in infos:
@@ -236,10 +227,8 @@ class Recording:
     def _fits(self, topic: str, info: str) -> bool:
         """Return whether the first camera info of a topic is of the frame and size of the first depth image of another."""
         try:
-            image = next(self.messages([topic]))
-            infos = CameraInfos(topic)
-            infos.add(self.content(next(self.messages([info]))), 0.0)
-            content = self.content(image)
+            infos, content = CameraInfos(topic), self._first(topic)
+            infos.add(self._first(info), 0.0)
             depth = decode_depth(content)
             infos.camera(content.header.frame_id, (depth.shape[0], depth.shape[1]), 0.0)
         except (CloudError, FileError, StopIteration):
@@ -252,7 +241,7 @@ class Recording:
         unit = f"{viewer[1]}/option/Depth Units/value" if viewer else ""
         if not self.kind_of(unit):
             return None
-        return float(self.content(next(self.messages([unit]))).data)
+        return float(self._first(unit).data)
 
     def is_converted(self, topic: str) -> bool:
         """Return whether nodes would read the depth images of a topic otherwise: with `camera_info` beside them, in the unit of their encoding."""
@@ -270,23 +259,58 @@ class Recording:
             infos.add(self.content(message), message.bag_time_ns * 1e-9)
         return infos
 
-    def clouds(self, topic: str) -> Iterator[tuple[Message, Callable[[], Cloud]]]:
-        """Read the messages of a topic of clouds or depth images, each with what decodes it.
+    def clouds(self, topic: str, others: Collection[str] = ()) -> Iterator[tuple[Message, Callable[[], Any]]]:
+        """Read the messages of a topic of clouds or depth images, and of other topics, each with what decodes it.
 
         A depth image has the camera of the last info before it, the first ones the camera of the first info; and its colours,
-        where there are any. What decodes a message raises a `FileError` if it is damaged or has no camera; the iteration as
-        `messages`.
+        where there are any. What decodes a message gives a `Cloud`, or the content of another message, and raises a `FileError` if it is
+        damaged or has no camera; the iteration as `messages`.
         """
         infos = self.first_info(topic)
         beside = "" if self._camera.is_known else self.info_topic(topic)
-        colour_topic = self.color_topic(topic)
-        messages = self.messages({topic, beside, colour_topic})
-        for message, colours in with_colours(messages, topic, colour_topic, self.colours):
+        for message, colours in self.with_colours({topic, beside, *others}, topic, self.color_topic(topic)):
             if message.topic == topic:
                 yield message, partial(self.decode_cloud, message, infos, colours)
-            else:
+            elif message.topic == beside:
                 infos = deepcopy(infos)  # images before it are perhaps decoded later
                 infos.add(self.content(message), message.bag_time_ns * 1e-9)
+            else:
+                yield message, partial(self.content, message)
+
+    def with_colours(
+        self, topics: Collection[str], topic: str, colour_topic: str
+    ) -> Iterator[tuple[Message, Message | None]]:
+        """Iterate over the messages of some topics in order, each depth image with its colours, which are matched as a node does.
+
+        Args:
+            topics: That are read.
+            topic: Of the depth images.
+            colour_topic: Of the colours, which are not given by themselves; "" for none.
+        """
+        held: deque[Message] = deque()
+
+        def released(now_ns: float) -> Iterator[tuple[Message, Message | None]]:
+            while held:
+                message = held[0]
+                found = None
+                if colour_topic and message.topic == topic and (stamp := _stamp(message)) is not None:
+                    if not self.colours.is_final(stamp) and now_ns < message.bag_time_ns + _WAIT_NS:
+                        return
+                    found = self.colours.match(stamp)
+                yield held.popleft(), found
+
+        for message in self.messages({*topics, colour_topic}):
+            if message.topic != colour_topic:
+                held.append(message)
+            elif (stamp := _stamp(message)) is not None:
+                self.colours.add(stamp, message)
+            yield from released(message.bag_time_ns)
+        yield from released(float("inf"))
+
+    def remarks(self, topic: str) -> list[str]:
+        """Return what became of the colours of the depth images of a topic that were read, if some are without."""
+        remark = self.colours.remark
+        return [f"{self.path}: {self.color_topic(topic)}: {remark}"] if remark else []
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Iterate over the messages of some topics, or of all, in order of their bag time.
@@ -298,7 +322,7 @@ class Recording:
         runs = []
         for reader in self._readers:
             wanted = [channel for channel in reader.connections if topics is None or channel.topic in topics]
-            if wanted or isinstance(reader, McapFile):  # whose damage is found in any case
+            if wanted or isinstance(reader, McapStorage):  # whose damage is found in any case
                 runs.append(reader.messages(wanted))
         with known_failures(self.path):
             for connection, time_ns, raw in merge(*runs, key=itemgetter(1)):
@@ -307,7 +331,7 @@ class Recording:
                 data = bytes(_typestore(*definition).ros1_to_cdr(raw, kind)) if ros1 else plain(raw, self.path)
                 yield Message(topic, kind, counts[topic], time_ns, data, definition)
                 counts[topic] += 1
-        faults = [file.fault for file in self._readers if isinstance(file, McapFile) and file.fault]
+        faults = [file.fault for file in self._readers if isinstance(file, McapStorage) and file.fault]
         if faults:
             rule = faults[0].rule
             if len(faults) > 1:
@@ -326,6 +350,10 @@ class Recording:
             except KeyError as err:
                 rule = f"cannot be decoded: the recording does not define {err.args[0]}, which is no standard type"
                 raise FileError(self.path, rule, field=_position(message)) from err
+
+    def _first(self, topic: str) -> Any:
+        """Return the fields of the first message of a topic, as `content`; a `StopIteration` if there is none."""
+        return self.content(next(self.messages([topic])))
 
     def decode_cloud(self, message: Message, infos: CameraInfos | None = None, colours: Message | None = None) -> Cloud:
         """Decode a cloud or a depth image, with the frame and stamp of its header; a `FileError` if that fails.
@@ -480,8 +508,23 @@ def _is_latched(connection: Connection) -> bool:
     return latching or any(profile.durability == QosDurability.TRANSIENT_LOCAL for profile in profiles)
 
 
+def _stamp(message: Message) -> int | None:
+    """Return the stamp of a message [ns]; None for one that is cut off, which is refused where it is decoded."""
+    try:
+        return read_header(message.data)[0]
+    except DatasetError:
+        return None
+
+
 def _position(message: Message) -> str:
     return f"{message.topic}[{message.index}]"
+
+
+def _images_first(topics: Iterable[Topic]) -> list[Topic]:
+    """Return topics of images without those that hold the compressed form of another one."""
+    topics = list(topics)
+    raw = {topic.name for topic in topics if topic.type == _IMAGE_TYPE}
+    return [topic for topic in topics if topic.name in raw or topic.name.rpartition("/")[0] not in raw]
 
 
 def _listed(topics: Collection[Topic]) -> str:

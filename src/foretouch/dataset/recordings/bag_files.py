@@ -35,7 +35,7 @@ _STEPS, _STEPS_A_BYTE = 1_000_000, 20  # of SQLite's machine; a row takes six, a
 _BETWEEN: Final = 10_000  # such steps between two counts
 
 
-class McapFile:
+class McapStorage:
     """An MCAP file behind the interface of the readers of `rosbags`."""
 
     def __init__(self, path: Path, shown: Path) -> None:
@@ -134,7 +134,7 @@ def open_storage(file: Path, stack: ExitStack) -> Any:
     if file.suffix == PACKED:
         opened = _unpacked(file, Path(stack.enter_context(TemporaryDirectory())))
     if opened.suffix == ".mcap":
-        return McapFile(opened, file)
+        return McapStorage(opened, file)
     journal = opened.with_name(f"{opened.name}-wal")
     if journal.is_file() and journal.stat().st_size:
         cure = (

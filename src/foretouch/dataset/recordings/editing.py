@@ -31,7 +31,7 @@ def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
     """
     check_name(label, "object")
     with _locked(Path(path)) as now:
-        return append_edit(Path(path), Edit(action="relabel", ids=_renamed(now, ids, label), object=label))
+        return _relabel(Path(path), now, ids, label)
 
 
 def merge(path: str | Path, label: str, into: str) -> int:
@@ -51,7 +51,7 @@ def merge(path: str | Path, label: str, into: str) -> int:
         ids = [name for name in now if name.partition("/")[0] == label]
         if not ids:
             raise DatasetError(f"{path}: holds no sample of {label!r}")
-        return append_edit(Path(path), Edit(action="relabel", ids=_renamed(now, ids, into), object=into))
+        return _relabel(Path(path), now, ids, into)
 
 
 def drop(path: str | Path, ids: Sequence[str]) -> int:
@@ -97,7 +97,7 @@ def _recorded(now: dict[str, str], ids: Iterable[str]) -> tuple[str, ...]:
     return tuple(now[name] for name in ids)
 
 
-def _renamed(now: dict[str, str], ids: Sequence[str], label: str) -> tuple[str, ...]:
+def _relabel(path: Path, now: dict[str, str], ids: Sequence[str], label: str) -> int:
     recorded = _recorded(now, ids)
     taken = now.keys() - set(ids)
     for name in ids:
@@ -105,4 +105,4 @@ def _renamed(now: dict[str, str], ids: Sequence[str], label: str) -> tuple[str, 
         if wanted in taken:
             raise DatasetError(f"{name}: id {wanted} is taken")
         taken.add(wanted)
-    return recorded
+    return append_edit(path, Edit(action="relabel", ids=recorded, object=label))

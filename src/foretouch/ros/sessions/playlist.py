@@ -9,7 +9,6 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from foretouch.dataset.recordings.bag import Recording
-from foretouch.dataset.recordings.bag_colours import with_colours
 from foretouch.dataset.recordings.sample_codec import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, Source
 from foretouch.errors import ForetouchError
@@ -112,8 +111,7 @@ def _recorded(source: Source, topics: Collection[str]) -> Iterator[Entry]:
         info = recording.info_topic(source.topic) if source.converted else ""
         infos = recording.first_info(source.topic)
         colour_topic = source.color_topic if source.converted else ""
-        messages = recording.messages({*played, info, colour_topic})
-        for message, colours in with_colours(messages, source.topic, colour_topic, recording.colours):
+        for message, colours in recording.with_colours({*played, info}, source.topic, colour_topic):
             data, refusal = message.data, ""
             try:
                 content = recording.content(message)
@@ -127,4 +125,4 @@ def _recorded(source: Source, topics: Collection[str]) -> Iterator[Entry]:
             name = f"{source.path}: {message.topic}[{message.index}]"
             if message.topic in played:
                 yield Entry(name, topic, message.bag_time_ns, data, stamped[message.topic], refusal)
-        source.remarks[:] = [f"{source.path}: {colour_topic}: {remark}"] if (remark := recording.colours.remark) else []
+        source.remarks[:] = recording.remarks(source.topic)

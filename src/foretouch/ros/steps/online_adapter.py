@@ -27,8 +27,8 @@ from foretouch.models.touch_model import Readings, TouchModel
 from foretouch.ros.messages.requests import Targets
 from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.tactile import tdc_of
+from foretouch.tactile.contact_detector import LiveTare
 from foretouch.tactile.dead_taxels import usable
-from foretouch.tactile.live_tare import LiveTare
 from foretouch.tactile.messages.table import TactileReader
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Sample, Touch, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp

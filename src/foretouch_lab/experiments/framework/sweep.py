@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.base.files import system_errors
-from foretouch.base.processes import one_thread_each, process_pool
+from foretouch.base.processes import process_pool
 from foretouch.config import Settings
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch_lab.experiments.framework import manifest as manifests
@@ -189,12 +189,11 @@ def in_processes(run: Callable[[Cell], Any], cells: Sequence[Cell], workers: int
     failed.
     """
     queue = deque(cells)
-    with one_thread_each():
-        while queue:
-            suspects = yield from _until_broken(run, queue, workers)
-            for cell in suspects:
-                again = yield from _until_broken(run, deque([cell]), 1)
-                yield from ((failed, None, DIED) for failed in again)
+    while queue:
+        suspects = yield from _until_broken(run, queue, workers)
+        for cell in suspects:
+            again = yield from _until_broken(run, deque([cell]), 1)
+            yield from ((failed, None, DIED) for failed in again)
 
 
 def _until_broken(run: Callable[[Cell], Any], queue: deque[Cell], workers: int) -> Generator[Outcome, None, list[Cell]]:

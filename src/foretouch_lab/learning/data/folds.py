@@ -63,7 +63,7 @@ def predict_folds(jobs: Mapping[str, tuple[HoldOut, Sequence[Fold]]], workers: i
         workers: Number of processes.
     """
     parts = zip(*[(predict, fold) for predict, folds in jobs.values() for fold in folds], strict=True)
-    with process_pool(workers, _one_thread) if workers > 1 else nullcontext() as pool:
+    with process_pool(workers) if workers > 1 else nullcontext() as pool:
         predicted = iter(list(map(_predict, *parts) if pool is None else pool.map(_predict, *parts)))
     result = {}
     for name, (_, folds) in jobs.items():
@@ -75,12 +75,6 @@ def predict_folds(jobs: Mapping[str, tuple[HoldOut, Sequence[Fold]]], workers: i
 
 def _predict(predict: HoldOut, fold: Fold) -> Float64:
     return predict(fold)
-
-
-def _one_thread() -> None:
-    import torch
-
-    torch.set_num_threads(1)
 
 
 def make_folds(samples: Sequence[Sample | SampleFacts], split: str, seed: int | np.random.Generator) -> list[Fold]:
