@@ -32,7 +32,7 @@ from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.framework.manifest import cell_seconds
 from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch_lab.experiments.shared.predictors import PREDICTORS
-from foretouch_lab.experiments.shared.scores import skill_table
+from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.experiments.shared.tables import SIGNS, grouped, pivot, select, short, unique, with_notes
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.folds import SPLITS
@@ -201,8 +201,13 @@ def _table(settings: LeaderboardSettings, scored: _Scored, seconds: Mapping[tupl
             head: Row = {"split": split, "predictor": name, "note": note, "hash": sha256}
             head |= {"seeds": " ".join(map(str, settings.seeds)), "samples": by_name[name][0].samples[split]}
             head |= {"objects": len(errors[name].objects), "best_baseline": best}
-            for row in skill_table(head, errors[name], settings.bootstrap, {"best": versus}):
-                parts = [one.scores[split][name].get(row["modality"], {}) for one in by_name[name]]
+            skill_of, rmse = skills(errors[name], settings.bootstrap), errors[name].rmse()
+            for modality, skill in skill_of.items():  # the mean has a skill, and no error: units differ
+                row = {**head, "modality": modality, "rmse": rmse.get(modality), **interval_columns("skill", skill)}
+                difference = versus[modality] if versus else None
+                row |= interval_columns("vs_best", difference)
+                row["vs_best_verdict"] = difference.verdict if difference else None
+                parts = [one.scores[split][name].get(modality, {}) for one in by_name[name]]
                 row |= {key: _mean(parts, key) for key in ("coverage90", "interval_score")}
                 result.append({**row, "cpu_s": seconds.get((name, predicted_once(split)))})
     return result

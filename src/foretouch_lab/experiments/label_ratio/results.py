@@ -168,7 +168,7 @@ def draw_models(rows: Rows, folder: Path) -> list[Path]:
     names, models = unique(rows, "modality"), unique(rows, "srgan")
     error, change = "RMSE [% of the range]\nmean ± sd of the runs", "difference of the SR-GAN's RMSE [%]\n95 % interval"
     lines = [
-        Line(3.9, ordered, partial(_draw_errors, models), y_label=error, legend="lower center"),
+        Line(3.9, ordered, partial(_draw_errors, models), y_label=error, legend=True),
         Line(3.4, ordered, partial(_draw_changes, models), "", "share without labels (P2's difference [%])", change),
     ]
     return save_panels(folder / "figure.png", 3.6 * len(names) + 0.6, lines, modalities=names, sharey="row")

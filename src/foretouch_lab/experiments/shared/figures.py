@@ -19,7 +19,7 @@ class Line(NamedTuple):
     title: str = ""
     x_label: str = ""
     y_label: str = ""
-    legend: str = ""  # place beside the panels, such as "right upper"; "" for none
+    legend: bool = False  # whether the names of the first panel stand below the figure
 
 
 def save_panels(
@@ -45,9 +45,7 @@ def save_panels(
         panels[0].set_ylabel(line.y_label)
         if line.legend:
             handles, labels = panels[0].get_legend_handles_labels()
-            place: Any = f"outside {line.legend}"
-            columns = len(labels) if line.legend == "lower center" else 1
-            figure.legend(handles, labels, loc=place, fontsize=8, ncols=columns)
+            figure.legend(handles, labels, loc="outside lower center", fontsize=8, ncols=len(labels))
     return [save_small(figure, path)]
 
 

@@ -22,31 +22,6 @@ def labelled(data: Dataset) -> list[Sample]:
     return [sample for sample in data.samples if sample.touch is not None]
 
 
-def skill_table(
-    head: Row, errors: ObjectErrors, config: BootstrapConfig, versus: Mapping[str, dict[str, ScoreEstimate] | None]
-) -> list[Row]:
-    """Return a row for each modality, and one for their mean: error, skill, and differences of skills from other predictors.
-
-    Args:
-        head: Columns in which the rows do not differ.
-        errors: Of one predictor.
-        config: Of the bootstrap.
-        versus: By name of the other predictor, the differences; None where they were not compared.
-    """
-    own, rmse = skills(errors, config), errors.rmse()
-    result = []
-    for modality in (*errors.channels.modalities, MEAN):  # a mean of errors of different sensors has no meaning
-        row = {**head, "modality": modality, "rmse": rmse.get(modality), **interval_columns("skill", own[modality])}
-        for name, differences in versus.items():
-            difference = differences[modality] if differences else None
-            row |= {
-                **interval_columns(f"vs_{name}", difference),
-                f"vs_{name}_verdict": difference.verdict if difference else None,
-            }
-        result.append(row)
-    return result
-
-
 def interval_columns(name: str, estimate: ScoreEstimate | None) -> Row:
     """Return three columns of an estimate: its value and the ends of its interval."""
     values = (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
