@@ -33,7 +33,7 @@ from foretouch_lab.experiments.framework.manifest import cell_seconds
 from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch_lab.experiments.shared.predictors import PREDICTORS
 from foretouch_lab.experiments.shared.scores import interval_columns
-from foretouch_lab.experiments.shared.tables import SIGNS, grouped, pivot, select, short, unique, with_notes
+from foretouch_lab.experiments.shared.tables import grouped, interval_text, pivot, select, unique, with_notes
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.folds import SPLITS
 from foretouch_lab.learning.evaluation.baselines import predict_part
@@ -242,14 +242,14 @@ _NOTES: Final = (
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
     """Return a table for each split, the most skilful predictor first."""
-    tables = []
+    tables, text = [], partial(interval_text, column="skill", verdict="vs_best_verdict", between="\n")
     for split, own in grouped(rows, "split"):
         modalities = [name for name in unique(own, "modality") if name != MEAN]
         totals = sorted(select(own, modality=MEAN), key=lambda row: -row["skill"])
         body = []
         for total in totals:
             mine = select(own, predictor=total["predictor"])
-            (cells,) = pivot(mine, "predictor", _cell, [MEAN, *modalities])
+            (cells,) = pivot(mine, "predictor", text, [MEAN, *modalities])
             scored = [row for row in mine if row["modality"] != MEAN]
             inside = f"{_mean(scored, 'coverage90'):.2f}"
             widths = " / ".join(f"{row['interval_score']:.3g}" for row in scored)
@@ -267,14 +267,6 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
 
 def _hashed(row: Row) -> str:
     return f" (`{row['hash']}`)" if row["hash"] else ""
-
-
-def _cell(row: Row) -> str:
-    sign = SIGNS.get(row["vs_best_verdict"] or "", "")
-    text = f"{short(row['skill'])} {sign}".rstrip()
-    if row["skill_low"] is None:
-        return text
-    return f"{text}\n[{short(row['skill_low'])}, {short(row['skill_high'])}]"
 
 
 def _draw(rows: Rows, folder: Path) -> list[Path]:

@@ -64,6 +64,20 @@ def short(value: float | None) -> str:
     return f"{value:.2f}".replace("0.", ".", 1) if abs(value) < 1.0 else f"{value:.1f}"
 
 
+def interval_text(row: Mapping[str, Any], column: str, verdict: str, between: str) -> str:
+    """Return the value of a column with the sign of a comparison and its interval, as far as the row holds them.
+
+    Args:
+        row: With the columns `<column>`, `<column>_low` and `<column>_high`.
+        column: Name of the value.
+        verdict: Column of the comparison.
+        between: Text before the interval.
+    """
+    text = f"{short(row[column])} {SIGNS.get(row[verdict] or '', '')}".rstrip()
+    low, high = row[f"{column}_low"], row[f"{column}_high"]
+    return text if low is None else f"{text}{between}[{short(low)}, {short(high)}]"
+
+
 def with_notes(tables: Sequence[Table], notes: Sequence[str]) -> list[Table]:
     """Return tables with notes below the last one."""
     return [*tables[:-1], replace(tables[-1], notes=notes)]
