@@ -49,9 +49,7 @@ from foretouch_lab.learning.training.compare import FIRST_TOUCHES, Evaluation, p
 from foretouch_lab.learning.training.run_config import RunConfig, recipe_of
 from foretouch_lab.learning.training.scoring import HeldOut, held_out_samples, hold_out
 
-_BASELINES: Final = (
-    *("training_mean", "object_mean", "object_time_trees", "clock", "geometry_trees", "geometry_trees_pose_free"),
-)
+_BASELINES: Final = tuple(name for name in PREDICTORS if name != "contact")
 
 
 @dataclass(frozen=True, kw_only=True)

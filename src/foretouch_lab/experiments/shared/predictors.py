@@ -38,8 +38,8 @@ PREDICTORS: Final[dict[str, Callable[[float], Baseline]]] = {
     "training_mean": lambda _: baselines.training_mean,
     "object_mean": lambda _: baselines.object_mean,
     "object_time_trees": partial(_trees, baselines.object_time_trees),
+    "clock": lambda _: baselines.clock,
     "geometry_trees": partial(_trees, baselines.geometry_trees),
     "geometry_trees_pose_free": partial(_trees, baselines.geometry_trees_pose_free),
-    "clock": lambda _: baselines.clock,
     "contact": _contact,
 }
