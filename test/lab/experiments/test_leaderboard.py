@@ -25,7 +25,7 @@ from foretouch_lab.learning.data import Dataset, labels_of, load_dataset, make_f
 from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.evaluation.baselines import object_mean, training_mean
 from foretouch_lab.learning.evaluation.metrics import MEAN, mean_skill
-from foretouch_lab.learning.training.scoring import hold_out, score_models
+from foretouch_lab.learning.training.scoring import evaluate, hold_out
 
 QUICK = {"baselines": ["training_mean", "object_mean", "clock"], "bootstrap.draws": 200}
 MINE = "own_predictors:Memory"
@@ -109,9 +109,9 @@ def test_an_own_predictor_is_refitted_in_each_fold_and_stands_beside_every_basel
 
 def test_scores_are_shown_in_a_few_lines_and_printed_as_a_table(data: Dataset) -> None:
     means = {"training_mean": training_mean, "object_mean": object_mean}
-    result = score_models(data, {"mine": Memory()}, ["random", "touches"], baselines=means)
+    result = evaluate({"mine": Memory()}, data.samples, ["random", "touches"], baselines=means)
     best = max(means | {"mine": 0}, key=lambda name: mean_skill(result.scores["random"][name]))
-    assert repr(result).splitlines()[0].startswith("Evaluation(mean skill on made-up)")
+    assert repr(result).splitlines()[0].startswith("Evaluation(mean skill on samples)")
     assert f"best of 3: {best} " in repr(result)
     assert len(repr(result).splitlines()) == 3
     assert len([line for line in str(result).splitlines() if line.startswith(("random", "touches"))]) == 6
@@ -184,7 +184,7 @@ def test_a_recipe_is_a_row_with_its_settings(data: Dataset, tmp_path) -> None:
     table = scored(data, tmp_path, models=[plain, changed], splits=["random"])
     by_name = {name: select(table, predictor=name, modality=MEAN)[0] for name in (plain, changed)}
     assert by_name[plain]["hash"] != by_name[changed]["hash"]
-    direct = score_models(data, {"m": plain}, ["random"], baselines={})
+    direct = evaluate({"m": plain}, data.samples, ["random"], baselines={})
     assert mean_skill(direct.scores["random"]["m"]) == pytest.approx(by_name[plain]["skill"])
     assert direct.notes == (f"m: recipe {plain}, fitted again without the samples of each fold",)
 
