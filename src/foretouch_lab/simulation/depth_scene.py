@@ -195,7 +195,7 @@ def table_depth(view: CameraView, rays: Float64) -> Float64:
         view: The camera.
         rays: (..., 3) in the world, one metre deep.
     """
-    depth = -view.eye[2] / _downwards(rays)
+    depth = -view.eye[2] / np.minimum(rays[..., 2], -1e-9)  # looking up never meets the table
     at = view.eye[:2] + depth[..., None] * rays[..., :2]
     return np.where((np.abs(at) <= TABLE_M / 2.0).all(axis=-1), depth, np.inf)
 
@@ -204,7 +204,3 @@ def to_millimetres(depth: Float64) -> npt.NDArray[np.uint16]:
     """Round depths [m] to whole millimetres, 0 without depth or where it does not fit."""
     rounded = np.rint(depth * 1000.0)
     return np.where((rounded > 0.0) & (rounded < 65536.0), rounded, 0.0).astype(np.uint16)
-
-
-def _downwards(rays: Float64) -> Float64:
-    return np.minimum(rays[..., 2], -1e-9)  # looking up never meets the table
