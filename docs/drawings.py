@@ -24,6 +24,7 @@ from matplotlib.patheffects import withStroke
 from PIL import Image
 from rendering import BOTTLE, BOWL, CAN, HAND, Photograph, Stage, Thing, box, frame_in_world, looking, rod, turned
 
+from foretouch import fit
 from foretouch.cli.main import main as command
 from foretouch.grasp import GraspPlan
 from foretouch.models import load_model
@@ -33,10 +34,9 @@ from foretouch.report.finger_figure import FingerScale, finger_levels, title_fin
 from foretouch.report.hand_figure import COLOURS, hand_boxes
 from foretouch.report.panels import FAINT, FINGER_COLOURS, INK, PAGE_INCH, SMALL_PT, TEXT_PT, Axes, new_figure, save
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
-from foretouch.tactile import biotac_touch
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.taxel_view import TaxelView
-from foretouch.types import Cloud, Float64, Grasp, Prediction
+from foretouch.types import Cloud, Float64, Grasp
 from foretouch.types.scene import Object, Scene
 from foretouch_lab.simulation.depth_scene import CameraView
 from foretouch_lab.simulation.scene import load_scene
@@ -484,23 +484,19 @@ def triad(axes: Axes, eye: CameraView, origin: Float64, rotation: Float64, lette
 def draw_recorded() -> None:
     """Predicted beside read, on recorded grasps that the model was not fitted to."""
     from foretouch_lab.learning.data import labels_of, load_dataset, make_folds
-    from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
 
     samples = load_dataset(Path(os.environ["FORETOUCH_DATA"]) / "vision2tactile").samples
-    fold = make_folds(samples, "time", 0)[-1]
-    train, test = ([samples[k] for k in index] for index in (fold.train, fold.test))
-    model = ContactPredictor(train, labels_of(train), ContactTrainingConfig())
-    values, half = model.predict_after([], test)
+    train, test = make_folds(samples, "time", 0)[-1].sides(samples)
+    model = fit(train, "contact-v3")
+    predicted = [model.predict(one.cloud, [one.grasp], table=one.table)[0] for one in test]
+    values = np.array([one.value.values for one in predicted])
     errors = np.abs(values - labels_of(test))[:, 2:].mean(axis=1)
     ranked = np.argsort(errors, kind="stable")
     drawn = []
     for share, name in ((0.25, "lower quartile"), (0.5, "median"), (0.75, "upper quartile")):
         k = ranked[round(share * (len(ranked) - 1))]
-        value, lower, upper = (biotac_touch(values[k] + sign * half[k]) for sign in (0.0, -1.0, 1.0))
-        prediction = Prediction.of(test[k].grasp, value, lower, upper)
         title = f"{test[k].object}: {name} of the errors of {len(test)} grasps, predicted from the cloud alone"
-        rest = biotac_touch(model.rest)
-        drawn.append(DrawnGrasp(prediction=prediction, read=test[k].touch, rest=rest, title=title))
+        drawn.append(DrawnGrasp(prediction=predicted[k], read=test[k].touch, rest=model.rest, title=title))
     save_touch_picture(FOLDER / "touch_recorded.png", drawn)
     shrink(FOLDER / "touch_recorded.png")
 

@@ -2,7 +2,6 @@
 """Surfaces whose normals are known, grasps on them, and a small contact model that is really fitted."""
 
 import json
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,7 @@ from hypothesis import assume
 from hypothesis import strategies as st
 
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, Float64, Grasp, Sample
+from foretouch.types import Cloud, Float64, Grasp
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.training.contact import ContactTrainingConfig, describe_samples, fit_contact
 
@@ -50,18 +48,6 @@ def sphere(radius: float, at: Float64, count: int = 8000) -> Float64:
 def moved(grasp: Grasp, turn: Float64, shift: Float64) -> Grasp:
     """The grasp after the rigid motion p -> turn p + shift."""
     return Grasp(turn @ grasp.g1 + shift, turn @ grasp.g2 + shift, turn @ grasp.rotation, id=grasp.id)
-
-
-def with_tares(samples: list[Sample], drift: float, seed: int = 0) -> list[Sample]:
-    """The samples with tares: all channels drift together from object to object, tare and label alike [counts]."""
-    rest = np.concatenate([[2600.0, 1700.0], np.full(24, 3200.0), np.full(24, 3300.0)])
-    names = sorted({sample.object for sample in samples})
-    level = dict(zip(names, np.random.default_rng(seed).normal(0.0, drift, len(names)), strict=True))
-    shifts = [level[sample.object] for sample in samples]
-    return [
-        replace(sample, touch=biotac_touch(sample.touch.values + shift), tare=biotac_touch(rest + shift))
-        for sample, shift in zip(samples, shifts, strict=True)
-    ]
 
 
 @cache

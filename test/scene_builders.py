@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.random_scenes import random_scene
 from foretouch.dataset.formats.rosbag2 import write_bag
 from foretouch.types import Cloud, Float32
-from foretouch_lab.simulation.depth_scene import random_scene
 
 
 def scene_cloud(number: int, *, objects: int = 3, width: int = 212, stamp_ns: int = 0) -> Cloud:

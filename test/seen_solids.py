@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.random_scenes import Primitive
 from foretouch.types import Cloud, Float64, Plane
 from foretouch_lab.simulation.depth_scene import CameraView
-from foretouch_lab.simulation.solids import Primitive
 from foretouch_lab.simulation.solids import about_z as about_vertical
 
 # Of a D415 at 640 x 480 [pixels]; no solid is symmetric about the pixel where its axis meets the image.

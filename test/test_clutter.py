@@ -11,8 +11,8 @@ from benchmarks.clutter import lccp, piles
 from benchmarks.clutter.metrics import f_of_best, score
 from benchmarks.clutter.models import hull
 from benchmarks.clutter.scenes import load_scenes
-from foretouch_lab.simulation.depth_scene import CameraView, DepthScene
-from foretouch_lab.simulation.solids import Primitive
+from benchmarks.random_scenes import DepthScene, Primitive
+from foretouch_lab.simulation.depth_scene import CameraView
 
 
 def test_scores_of_an_example_worked_by_hand() -> None:

@@ -17,6 +17,7 @@ from experiment_samples import make_samples
 from recording_builders import write_dataset
 from run_builders import quiet, run_config, stop_after, write_store
 
+from benchmarks.random_scenes import random_scene
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.formats import exported_formats
@@ -26,7 +27,6 @@ from foretouch.models.touch_model import History, TouchModel
 from foretouch.types import Cloud
 from foretouch_lab.learning.data import load_dataset
 from foretouch_lab.learning.training.run import train_run
-from foretouch_lab.simulation.depth_scene import random_scene
 
 SIZE = 1 << 20
 CARD = {"name": "small", "sha256": "0" * 64}

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from benchmarks.common import cpu_ms, scene
+from benchmarks.random_scenes import random_scene
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.models.registry import load_model
@@ -24,7 +25,6 @@ from foretouch.pipeline import Pipeline
 from foretouch.tactile import TOUCH_SIZE
 from foretouch.types import Cloud, Grasp
 from foretouch.types.scene import Object
-from foretouch_lab.simulation.depth_scene import random_scene
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.world import SampleKey

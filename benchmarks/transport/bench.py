@@ -19,6 +19,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from benchmarks.common import ROOT, markdown, print_rows, read_csv, replace_marked, write_csv
+from benchmarks.random_scenes import random_scene
 from benchmarks.ros import Client, end, prepare_domain, spawn, stamp_ns, stamped
 from benchmarks.transport.round_trip import compare
 from foretouch.camera.stream import DepthFrame
@@ -28,7 +29,6 @@ from foretouch.ros.messages.clouds import cloud_to_msg, depth_to_msgs
 from foretouch.ros.runtime.environment import profile_variable
 from foretouch.types import CameraModel, Cloud
 from foretouch_lab.experiments.framework.timing import MachineLoad
-from foretouch_lab.simulation.depth_scene import random_scene
 from foretouch_msgs.msg import TouchPredictionArray
 
 DOMAIN = 87

@@ -7,9 +7,10 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
+from benchmarks.random_scenes import random_scene
 from foretouch.camera import realsense
 from foretouch.camera.config import RealSenseConfig
-from foretouch_lab.simulation import RenderedFrame, random_scene
+from foretouch_lab.simulation.depth_scene import RenderedFrame
 from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 WIDTH, HEIGHT = 424, 240

@@ -9,9 +9,9 @@ import pytest
 from command_answer import Answer
 from process_domain import process_environment
 
+from benchmarks.random_scenes import random_scene
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import write_cloud
-from foretouch_lab.simulation.depth_scene import random_scene
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 import foretouch as ft
-from foretouch_lab.simulation.depth_scene import random_scene
+from benchmarks.random_scenes import random_scene
 
 
 def test_answers_are_the_same_to_the_bit_and_the_picture_shows_the_colours(

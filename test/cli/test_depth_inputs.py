@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from depth_builders import STAMP_NS, compressed, info, rvl, write_bag
 
+from benchmarks.random_scenes import random_scene
 from foretouch.cli.main import main
 from foretouch.pipeline import Pipeline
 from foretouch.types import Cloud
-from foretouch_lab.simulation.depth_scene import random_scene
 
 
 def test_a_recorded_depth_image_has_the_answer_of_the_array(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -44,12 +44,12 @@ def test_an_unfinished_sweep_says_so_in_its_tables(call, tmp_path, numbers) -> N
 def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_path, numbers, monkeypatch) -> None:
     monkeypatch.delenv("FORETOUCH_DATA", raising=False)
     out = ["-o", tmp_path / "out"]
-    assert "'phrenology' is not one of cross_validation, label_ratio" in call("experiment", "phrenology", *out).err
+    assert "'phrenology' is not one of label_ratio, leaderboard" in call("experiment", "phrenology", *out).err
     assert "No module named" in call("experiment", "no.such", *out).err
     assert "contains no EXPERIMENT" in call("experiment", "foretouch.types", *out).err
     assert "-o DIR is required" in call("experiment", OWN).err
-    assert "no data; give --data PATH or set FORETOUCH_DATA" in call("experiment", "cross_validation", *out).err
-    assert "seed: unknown setting" in call("experiment", "cross_validation", *out, "seed=1").err
+    assert "no data; give --data PATH or set FORETOUCH_DATA" in call("experiment", "prequential", *out).err
+    assert "seed: unknown setting" in call("experiment", "prequential", *out, "seed=1").err
     answer = call("experiment", "label_ratio", *out, "--preset", "smoke", "--data", tmp_path)
     answer.check_refused("is neither a scene (.yaml) nor a store")  # and no bar beside it
     assert not (tmp_path / "out").exists()

@@ -13,11 +13,11 @@ from every_case import every_case
 from PIL import Image
 from recording_builders import write_dataset
 
+from benchmarks.random_scenes import random_scene
 from foretouch.cli.main import command_parser
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.formats.rosbag2 import BagWriter
 from foretouch.types import Cloud
-from foretouch_lab.simulation.depth_scene import random_scene
 
 SOURCES = ("depth.png", "folder", "depth.npz", "scene.npz", "object.pcd", "recording", "clouds", "dataset")
 CAMERA = {  # what is stated otherwise than in the files

@@ -158,8 +158,8 @@ FIELDS = (  # of a scene, of the pipeline, of a training
 )
 NAMES = (  # recipes, experiments, presets, areas, models, settings of a command
     ("train p3 data=x -o y", "p3: is neither a file nor one of contact-v3, p1, p1_as_published, p2", "p2"),
-    ("experiment cross_validaton -o y", "'cross_validaton'", "cross_validation"),
-    ("experiment cross_validation -o y --preset smokee", "'smokee'", "smoke"),
+    ("experiment prequental -o y", "'prequental'", "prequential"),
+    ("experiment prequential -o y --preset smokee", "'smokee'", "smoke"),
     ("tradeoff modle -o y", "'modle'", "model"),
     ("predict x.pcd --model contact_v2", "contact_v2", "contact-v3"),
     (f"simulate {CONFIG}/scenes/clean.yaml --explain --set camera.noize={{}}", "--set: camera.noize: unknown", "noise"),

@@ -52,7 +52,7 @@ READ: dict[tuple[str, str], tuple[str, tuple[str, ...]]] = {
     ("train", "config"): ("train {} -o {out}", YAML),
     ("evaluate", "model"): ("evaluate {} {out}", (".json",)),
     ("evaluate", "dataset"): ("evaluate contact-v3 {}", ("",)),
-    ("experiment", "--data"): ("experiment cross_validation --data {} -o {out}", ("",)),
+    ("experiment", "--data"): ("experiment prequential --data {} -o {out}", ("",)),
     ("models", "models"): ("models {}", (".json", ".safetensors")),
     ("sensor check", "descriptions"): ("sensor check {}", YAML),
     ("sensor check", "--against"): ("sensor check biotac_sp --against {}", ("",)),

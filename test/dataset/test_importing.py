@@ -11,6 +11,7 @@ from every_case import every_case
 from recording_builders import IDENTITY
 from topic_builders import NS, TURNED, Faults, write_topics
 
+from benchmarks.random_scenes import random_scene
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.importing import BagTopics, WriteResult, import_samples
@@ -18,7 +19,6 @@ from foretouch.dataset.recordings.verify import verify_dataset
 from foretouch.errors import FileError
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.types import Cloud, Sample
-from foretouch_lab.simulation.depth_scene import random_scene
 
 
 def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[WriteResult, list[Sample]]:

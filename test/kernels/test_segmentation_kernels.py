@@ -10,6 +10,7 @@ from corpus.clouds import scene_cases
 from every_case import every_case
 from kernels.references import segmentation as reference
 
+from benchmarks.random_scenes import random_scene
 from foretouch.cloud.segmentation import objects, plane
 from foretouch.cloud.segmentation import segment as segment_module
 from foretouch.cloud.segmentation.clusters import ClusterConfig
@@ -17,7 +18,6 @@ from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.pipeline import Pipeline
 from foretouch.types import AnyArray, CameraModel, Cloud
 from foretouch.types.scene import Scene
-from foretouch_lab.simulation.depth_scene import random_scene
 
 
 def _with_references(cloud: Cloud, config: SegmentationConfig) -> Scene:

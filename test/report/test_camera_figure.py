@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from scene_builders import scene_cloud
 
 import foretouch as ft
+from benchmarks.random_scenes import random_scene
 from foretouch.report.camera_figure import draw_camera, draw_scene_image, photograph, pixels_of
 from foretouch.types import Cloud
-from foretouch_lab.simulation.depth_scene import random_scene
 
 
 @pytest.fixture(scope="module")

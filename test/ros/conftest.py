@@ -331,7 +331,7 @@ def predictor(graph: Graph) -> Callable[..., tuple[Any, Callable[[int], None], l
 @pytest.fixture(scope="session")
 def scene_cloud() -> Callable[..., Any]:
     """Builds the cloud of a small scene with one object or more, by seed and stamp."""
-    from foretouch_lab.simulation.depth_scene import random_scene
+    from benchmarks.random_scenes import random_scene
 
     def build(seed: int = 0, stamp_ns: int = 1_700_000_000_123_456_789, n_objects: int = 2, width: int = 424) -> Any:
         rng = np.random.default_rng(seed)

@@ -23,7 +23,7 @@ EVALUATE: Final = CommandEntry(
 EXPERIMENT: Final = CommandEntry(
     "Run an experiment and write its tables, figures and manifest",
     "foretouch_lab.cli.experiment",
-    "foretouch experiment cross_validation -o out --preset quick",
+    "foretouch experiment prequential -o out --preset quick",
 )
 BENCHMARK: Final = CommandEntry(
     "Score touch models and baselines on the same held-out grasps: the leaderboard",

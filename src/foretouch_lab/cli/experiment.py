@@ -25,7 +25,7 @@ def add_arguments(parser: CommandParser) -> None:
     parser.add_argument(
         "name",
         metavar="NAME",
-        help="name of an experiment, such as cross_validation; `list` prints all; or a module of your own, such as my_lab.stiffness",
+        help="name of an experiment, such as prequential; `list` prints all; or a module of your own, such as my_lab.stiffness",
     )
     add_sweep_arguments(parser, "full", "full (default), smoke, or another preset of the experiment")
 

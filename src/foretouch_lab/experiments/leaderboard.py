@@ -32,8 +32,8 @@ from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.framework.manifest import cell_seconds
 from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch_lab.experiments.shared.predictors import PREDICTORS
-from foretouch_lab.experiments.shared.scores import skill_table
-from foretouch_lab.experiments.shared.tables import SIGNS, grouped, pivot, select, short, unique, with_notes
+from foretouch_lab.experiments.shared.scores import interval_columns
+from foretouch_lab.experiments.shared.tables import grouped, interval_text, pivot, select, unique, with_notes
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.folds import SPLITS
 from foretouch_lab.learning.evaluation.baselines import predict_part
@@ -49,9 +49,7 @@ from foretouch_lab.learning.training.compare import FIRST_TOUCHES, Evaluation, p
 from foretouch_lab.learning.training.run_config import RunConfig, recipe_of
 from foretouch_lab.learning.training.scoring import HeldOut, held_out_samples, hold_out
 
-_BASELINES: Final = (
-    *("training_mean", "object_mean", "object_time_trees", "clock", "geometry_trees", "geometry_trees_pose_free"),
-)
+_BASELINES: Final = tuple(name for name in PREDICTORS if name != "contact")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,8 +199,13 @@ def _table(settings: LeaderboardSettings, scored: _Scored, seconds: Mapping[tupl
             head: Row = {"split": split, "predictor": name, "note": note, "hash": sha256}
             head |= {"seeds": " ".join(map(str, settings.seeds)), "samples": by_name[name][0].samples[split]}
             head |= {"objects": len(errors[name].objects), "best_baseline": best}
-            for row in skill_table(head, errors[name], settings.bootstrap, {"best": versus}):
-                parts = [one.scores[split][name].get(row["modality"], {}) for one in by_name[name]]
+            skill_of, rmse = skills(errors[name], settings.bootstrap), errors[name].rmse()
+            for modality, skill in skill_of.items():  # the mean has a skill, and no error: units differ
+                row = {**head, "modality": modality, "rmse": rmse.get(modality), **interval_columns("skill", skill)}
+                difference = versus[modality] if versus else None
+                row |= interval_columns("vs_best", difference)
+                row["vs_best_verdict"] = difference.verdict if difference else None
+                parts = [one.scores[split][name].get(modality, {}) for one in by_name[name]]
                 row |= {key: _mean(parts, key) for key in ("coverage90", "interval_score")}
                 result.append({**row, "cpu_s": seconds.get((name, predicted_once(split)))})
     return result
@@ -237,14 +240,14 @@ _NOTES: Final = (
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
     """Return a table for each split, the most skilful predictor first."""
-    tables = []
+    tables, text = [], partial(interval_text, column="skill", verdict="vs_best_verdict", between="\n")
     for split, own in grouped(rows, "split"):
         modalities = [name for name in unique(own, "modality") if name != MEAN]
         totals = sorted(select(own, modality=MEAN), key=lambda row: -row["skill"])
         body = []
         for total in totals:
             mine = select(own, predictor=total["predictor"])
-            (cells,) = pivot(mine, "predictor", _cell, [MEAN, *modalities])
+            (cells,) = pivot(mine, "predictor", text, [MEAN, *modalities])
             scored = [row for row in mine if row["modality"] != MEAN]
             inside = f"{_mean(scored, 'coverage90'):.2f}"
             widths = " / ".join(f"{row['interval_score']:.3g}" for row in scored)
@@ -262,14 +265,6 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
 
 def _hashed(row: Row) -> str:
     return f" (`{row['hash']}`)" if row["hash"] else ""
-
-
-def _cell(row: Row) -> str:
-    sign = SIGNS.get(row["vs_best_verdict"] or "", "")
-    text = f"{short(row['skill'])} {sign}".rstrip()
-    if row["skill_low"] is None:
-        return text
-    return f"{text}\n[{short(row['skill_low'])}, {short(row['skill_high'])}]"
 
 
 def _draw(rows: Rows, folder: Path) -> list[Path]:

@@ -106,7 +106,7 @@ def _cells(settings: P1Settings, data: Dataset) -> list[Cell]:
 def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
     """Train one network and test it in both modes, beside the mean of the training labels."""
     from foretouch_lab.learning.training.run_config import load_run_config
-    from foretouch_lab.learning.training.supervised import train_network
+    from foretouch_lab.learning.training.supervised import SupervisedTrainer
 
     samples = labelled(data)
     (fold,) = (fold for fold in _tables(samples)[cell.values["table"]] if fold.name == cell.values["part"])
@@ -116,7 +116,7 @@ def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
     used = np.concatenate([fold.train, fold.test])
     inputs = TrainingSet.build([samples[k] for k in used], recipe.model)
     train, test = np.arange(len(fold.train)), np.arange(len(fold.train), len(used))
-    net = train_network(inputs, train, how)
+    net = SupervisedTrainer(inputs, train, how).train()
     mean = inputs.labels[np.ix_(train, BIOTAC.columns([modality]))].mean(axis=0)
     rows = []
     for way in _WAYS:

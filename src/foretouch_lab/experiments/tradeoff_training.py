@@ -12,15 +12,20 @@ from foretouch.config import setting
 from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
-from foretouch_lab.experiments.shared.predictors import network
 from foretouch_lab.experiments.shared.scores import labelled, skill_rows
 from foretouch_lab.experiments.tradeoff_model import described
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.data.folds import Fold
+from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.evaluation.metrics import error_rows
 from foretouch_lab.learning.training.contact import ContactTrainingConfig
+from foretouch_lab.learning.training.learners import make_learner
+from foretouch_lab.learning.training.run_config import load_run_config
+from foretouch_lab.learning.training.supervised import SupervisedTrainer
 
 # Folds of each skill; of the last one, the first fold alone.
 _SPLITS: Final = {"known": "time", "new": "object", "one_block": "time"}
+_NETWORK: Final = "touchnet-v1"
 _PREDICTED: Final = 10  # test samples that a fit predicts, when it is timed
 
 
@@ -113,13 +118,14 @@ def _predict(
     """Return (T, 50) predictions of test samples by a variant that is trained on some samples [counts]."""
     if "mean" in values:
         return np.tile(labels_of(train).mean(axis=0), (len(test), 1))
-    if "epochs" in values:
-        return network("touchnet_v1", 1.0, {"train.epochs": values["epochs"]})(train, labels_of(train), test, 0)
     predictor, place = described(data)
+    known, asked = (np.array([place[sample.id] for sample in side]) for side in (train, test))
+    if "epochs" in values:
+        recipe = load_run_config(_NETWORK, ["calibrate=true", f"train.epochs={values['epochs']}"])
+        return make_learner(recipe, data).predict_fold(Fold(known, asked))
     changes = {name: values[name] for name in ("trees", "thinned") if name in values}
     config = ContactTrainingConfig(trees=settings.trees).updated(changes)
-    known, asked = ([place[sample.id] for sample in side] for side in (train, test))
-    return predictor.fit(np.array(known), config).predict_rows(predictor.rows[asked])[0]
+    return predictor.fit(known, config).predict_rows(predictor.rows[asked])[0]
 
 
 def _timed(variant: Variant, settings: TrainingSettings, data: Dataset) -> Timed:
@@ -133,11 +139,7 @@ def _timed(variant: Variant, settings: TrainingSettings, data: Dataset) -> Timed
     chosen = _chosen(variant.values, train)
     if "epochs" not in variant.values:
         return lambda _: _predict(variant.values, settings, data, chosen, test[:_PREDICTED]), 1.0
-    from foretouch_lab.learning.data.training_set import TrainingSet
-    from foretouch_lab.learning.training.run_config import load_run_config
-    from foretouch_lab.learning.training.supervised import SupervisedTrainer
-
-    recipe: Any = load_run_config("touchnet-v1", ["train.epochs=100000"])  # as many as are timed
+    recipe = load_run_config(_NETWORK, ["train.epochs=100000"])  # as many as are timed
     trainer = SupervisedTrainer(TrainingSet.build(chosen, recipe.model), np.arange(len(chosen)), recipe.train)
     return lambda _: trainer.run_epoch(), float(variant.values["epochs"])
 

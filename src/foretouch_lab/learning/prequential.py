@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import DatasetError, GraspError, ModelError
-from foretouch.models.calibration import Calibration, tare_offset
+from foretouch.models.calibration import tare_offset
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
 from foretouch.tactile import tdc_of
@@ -165,27 +165,6 @@ def replay(tracker: SensorTracker, recording: TimedReadings, *, keep_sensors: bo
             names += tracker.add_touch(stamp, reading, expected, tdc=_row(recording.tdc, k), where=where)
         restarted.append(tuple(dict.fromkeys(names)))
     return Replayed(counts, half, deviation, levels, restarted)
-
-
-def predict_after(calibration: Calibration, touched: TimedReadings, asked: TimedReadings) -> tuple[Float64, Float64]:
-    """Return predictions of grasps on one object after touches of it, as `TouchModel.predict` makes them.
-
-    Args:
-        calibration: Of the model that predicts by vision.
-        touched: Touches in order of time, none or more, without tares.
-        asked: The grasps, without tares; their readings are not used.
-
-    Returns:
-        (S, D) predictions and half widths [counts].
-    """
-    tracker = SensorTracker(calibration.tracker_parameters)
-    replay(tracker, touched)
-    counts, half = np.empty((2, *asked.expected.shape))
-    for k, stamp in enumerate(asked.stamps_ns.tolist()):
-        same, known = tracker.touches > 0, asked.is_known(k)
-        level = tracker.level(stamp, same_object=same, known=known, tdc=asked.tdc_before(k))
-        (counts[k],), (half[k],) = tracker.adapt(level, asked.expected[k : k + 1])
-    return counts, half
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,34 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated depth camera (D415): where it stands, what its stereo adds to exact depth, and scenes of random solids.
+"""A simulated depth camera (D415): where it stands, and what its stereo adds to exact depth.
 
 The world has its origin on the table top, z up. The camera frame is the optical one (x right,
-y down, z forward). Scenes of household-sized solids on a table give exact depth, labels, plane, and camera effects.
+y down, z forward).
 """
 
-from dataclasses import dataclass, replace
-from typing import Final, Literal, Self
+from dataclasses import dataclass
+from typing import Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ConfigError
-from foretouch.types import Bool, Cloud, Float32, Float64, Int32, UInt8
-from foretouch_lab.simulation.solids import LYING, Primitive, about_z, footprint_m
+from foretouch.types import Bool, Cloud, Float64, Int32, UInt8
 
 Window = tuple[slice, slice]
-
-
-def _pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
-    """Return (3, 3) float64 intrinsics [px] of square pixels and a centred axis.
-
-    Args:
-        width: Columns.
-        height: Rows.
-        hfov_deg: Horizontal field of view [deg]; by default of a D415.
-    """
-    # Rounded to float32 as a device stores it, so that frames sent through one stay bit-equal.
-    focal = float(np.float32(width / (2.0 * np.tan(np.radians(hfov_deg) / 2.0))))
-    return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +28,7 @@ class CameraView:
 
     @classmethod
     def towards_table(cls, width: int, height: int, distance_m: float, tilt_rad: float, hfov_deg: float = 65.0) -> Self:
-        """Return a camera that looks at the origin of the world.
+        """Return a camera of square pixels and a centred axis that looks at the origin of the world.
 
         Args:
             width: [px]
@@ -56,7 +41,10 @@ class CameraView:
         forward = np.array([0.0, sine, -cosine])
         right = np.array([1.0, 0.0, 0.0])
         rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-        return cls(width, height, _pinhole_matrix(width, height, hfov_deg), -distance_m * forward, rotation)
+        # Rounded to float32 as a device stores it, so that frames sent through one stay bit-equal.
+        focal = float(np.float32(width / (2.0 * np.tan(np.radians(hfov_deg) / 2.0))))
+        matrix = np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
+        return cls(width, height, matrix, -distance_m * forward, rotation)
 
     def directions(self, window: Window = (slice(None), slice(None))) -> Float64:
         """Return (h, w, 3) float64 ray of each pixel in the world, one metre deep in the camera frame."""
@@ -166,17 +154,6 @@ TABLE: Final = 1  # label of the table; 0 is everything else
 FIRST_OBJECT: Final = 2  # label of the first object
 TABLE_M: Final = np.array([1.4, 1.0])  # edges of the table top about the world's origin [m]
 
-_FLOOR_M = 0.75  # below the table top
-_ATTEMPTS = 200  # places tried for one object before all are placed anew
-_ROUNDS = 50
-_GAP_M = 0.03  # free table between two objects
-_MARGIN = 0.04  # of the image, free of objects on each side
-
-_COLOURS = np.array(
-    [[60, 60, 66], [150, 140, 125], [196, 78, 62], [70, 130, 180], [226, 172, 63], [104, 159, 98], [150, 105, 175]],
-    np.float32,
-)
-
 
 @dataclass(frozen=True, eq=False)
 class RenderedFrame:
@@ -211,95 +188,6 @@ class RenderedFrame:
         return Cloud.from_depth(self.depth_mm, self.K, frame_id=frame_id, stamp_ns=stamp_ns, rgb=rgb)
 
 
-@dataclass(frozen=True, eq=False)
-class DepthScene:
-    """Solids on a table above a floor, and a camera."""
-
-    view: CameraView  # the camera
-    objects: tuple[Primitive, ...]  # the solids; the k-th has the label 2 + k
-
-    def render(
-        self, rng: np.random.Generator | None = None, noise_m: float = 0.0, flying_pixels: bool = False
-    ) -> RenderedFrame:
-        """Render one frame; without effects it is exact to the millimetre that the depth is rounded to.
-
-        Args:
-            rng: Generator of noise and flying pixels; None leaves out both.
-            noise_m: Standard deviation of the depth at 1 m, growing with its square [m].
-            flying_pixels: Whether pixels on a depth edge lie between both sides.
-        """
-        depth, labels = self.cast()
-        rgb = self._colours(depth, labels)
-        if rng is not None:
-            depth = add_flying_pixels(depth, rng) if flying_pixels else depth
-            depth = add_stereo_noise(depth, noise_m, rng) if noise_m > 0.0 else depth
-        return RenderedFrame(to_millimetres(depth), rgb, labels, self.view.matrix, self.view.table_plane())
-
-    def cast(self) -> tuple[Float64, Int32]:
-        """Return exact depth and labels.
-
-        Returns:
-            (H, W) float64 [m] along the optical axis, inf where a ray meets nothing; (H, W) int32.
-        """
-        rays = self.view.directions()
-        table = table_depth(self.view, rays)
-        labels = np.where(np.isfinite(table), TABLE, 0).astype(np.int32)
-        depth = np.where(np.isfinite(table), table, -(self.view.eye[2] + _FLOOR_M) / _downwards(rays))
-        for label, solid in enumerate(self.objects, FIRST_OBJECT):
-            window = self.view.window(solid.corners())
-            hit = solid.cast(self.view.eye, self.view.directions(window))
-            nearer = hit < depth[window]
-            depth[window][nearer] = hit[nearer]
-            labels[window][nearer] = label
-        return depth, labels
-
-    def _colours(self, depth: Float64, labels: Int32) -> UInt8:
-        """Return a colour per label, darker where the surface turns away, by the slope of the depth."""
-        index = np.where(labels < FIRST_OBJECT, labels, FIRST_OBJECT + (labels - FIRST_OBJECT) % (len(_COLOURS) - 2))
-        z = np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
-        slope_v, slope_u = np.gradient(z)
-        steep = np.float32(self.view.matrix[0, 0]) * np.hypot(slope_u, slope_v) / np.maximum(z, np.float32(0.1))
-        shade = np.float32(1.0) / np.sqrt(np.float32(1.0) + steep * steep)
-        colours: Float32 = _COLOURS[index] * (0.35 + 0.65 * shade)[..., None]
-        return colours.astype(np.uint8)
-
-
-def random_scene(
-    rng: np.random.Generator,
-    width: int = 848,
-    height: int = 480,
-    n_objects: int = 3,
-    *,
-    view: Literal["any", "oblique", "top"] = "any",
-    may_occlude: bool = False,
-) -> DepthScene:
-    """Return boxes, cans and balls that stand or lie on a table; they do not touch and are wholly inside the image.
-
-    Args:
-        rng: Generator of everything.
-        width: [px]
-        height: [px]
-        n_objects: How many; 0 is an empty table.
-        view: Straight down, oblique (30 to 55 degrees from the vertical), or drawn, one in four straight down.
-        may_occlude: Whether one object may hide a part of another.
-
-    Raises:
-        ConfigError: If the objects find no place.
-    """
-    tilt = 0.0 if view == "top" or (view == "any" and rng.random() < 0.25) else np.radians(rng.uniform(30.0, 55.0))
-    camera = CameraView.towards_table(width, height, rng.uniform(0.8, 1.2), tilt)
-    for _ in range(_ROUNDS):
-        placed: list[Primitive] = []
-        while len(placed) < n_objects:
-            solid = _find_place(rng, camera, placed, may_occlude)
-            if solid is None:
-                break
-            placed.append(solid)
-        else:
-            return DepthScene(camera, tuple(placed))
-    raise ConfigError(f"n_objects: {n_objects} find no place in a view of {width}x{height} pixels")
-
-
 def table_depth(view: CameraView, rays: Float64) -> Float64:
     """Return the depth of the table along rays (..., 3) of a view, inf beside it [m].
 
@@ -307,7 +195,7 @@ def table_depth(view: CameraView, rays: Float64) -> Float64:
         view: The camera.
         rays: (..., 3) in the world, one metre deep.
     """
-    depth = -view.eye[2] / _downwards(rays)
+    depth = -view.eye[2] / np.minimum(rays[..., 2], -1e-9)  # looking up never meets the table
     at = view.eye[:2] + depth[..., None] * rays[..., :2]
     return np.where((np.abs(at) <= TABLE_M / 2.0).all(axis=-1), depth, np.inf)
 
@@ -316,56 +204,3 @@ def to_millimetres(depth: Float64) -> npt.NDArray[np.uint16]:
     """Round depths [m] to whole millimetres, 0 without depth or where it does not fit."""
     rounded = np.rint(depth * 1000.0)
     return np.where((rounded > 0.0) & (rounded < 65536.0), rounded, 0.0).astype(np.uint16)
-
-
-def _downwards(rays: Float64) -> Float64:
-    return np.minimum(rays[..., 2], -1e-9)  # looking up never meets the table
-
-
-def _find_place(
-    rng: np.random.Generator, view: CameraView, placed: list[Primitive], may_occlude: bool
-) -> Primitive | None:
-    for _ in range(_ATTEMPTS):
-        solid = _random_solid(rng)
-        solid = replace(solid, position=solid.position + np.append(rng.uniform(-0.5, 0.5, 2) * TABLE_M, 0.0))
-        fits = _in_view(solid, view) and (np.abs(solid.position[:2]) + footprint_m(solid) < TABLE_M / 2.0).all()
-        if not fits or any(_collide(solid, other) for other in placed):
-            continue
-        if may_occlude or not any(_overlap_in_image(solid, other, view) for other in placed):
-            return solid
-    return None
-
-
-def _random_solid(rng: np.random.Generator) -> Primitive:
-    """Return a box, a can (standing or lying) or a ball that rests on z = 0 above the origin."""
-    kind = rng.integers(3)
-    turn = about_z(rng.uniform(0.0, 2.0 * np.pi))
-    if kind == 0:
-        size = rng.uniform((0.04, 0.04, 0.04), (0.14, 0.12, 0.18))
-        return Primitive("box", size, np.array([0.0, 0.0, size[2] / 2.0]), turn)
-    if kind == 1:
-        radius, height = rng.uniform(0.025, 0.05), rng.uniform(0.06, 0.20)
-        size = np.array([2.0 * radius, 2.0 * radius, height])
-        if rng.random() < 0.5:
-            return Primitive("cylinder", size, np.array([0.0, 0.0, height / 2.0]), turn)
-        return Primitive("cylinder", size, np.array([0.0, 0.0, radius]), turn @ LYING)
-    radius = rng.uniform(0.03, 0.08)
-    return Primitive("ball", np.full(3, 2.0 * radius), np.array([0.0, 0.0, radius]))
-
-
-def _in_view(solid: Primitive, view: CameraView) -> bool:
-    low, high = view.bounds(solid.corners())
-    size = np.array([view.width, view.height], np.float64)
-    return bool((low > _MARGIN * size).all() and (high < (1.0 - _MARGIN) * size).all())
-
-
-def _collide(body: Primitive, other: Primitive) -> bool:
-    apart = footprint_m(body) + footprint_m(other) + _GAP_M
-    return float(np.linalg.norm((body.position - other.position)[:2])) < apart
-
-
-def _overlap_in_image(body: Primitive, other: Primitive, view: CameraView) -> bool:
-    """Return whether the rectangles around both, one pixel in a hundred apart, share a pixel."""
-    (low_a, high_a), (low_b, high_b) = view.bounds(body.corners()), view.bounds(other.corners())
-    gap = 0.01 * view.width
-    return bool((low_a < high_b + gap).all() and (low_b < high_a + gap).all())

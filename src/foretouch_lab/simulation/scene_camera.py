@@ -16,8 +16,7 @@ from foretouch.types import Float64, Int32, UInt8
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, RenderedFrame, to_millimetres
 from foretouch_lab.simulation.effects import view
 from foretouch_lab.simulation.engine import Engine
-from foretouch_lab.simulation.scene import SceneConfig, scheduled_scene
-from foretouch_lab.simulation.software_camera import SyntheticCamera
+from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.world import SampleKey, object_index
 
 _GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour
@@ -66,7 +65,7 @@ class FrameMaker:
         return RenderedFrame(to_millimetres(depth), rgb, labels, world.view.matrix, world.plane.coefficients)
 
 
-class _SceneImages:
+class SceneImages:
     """The image that a camera takes now, and when it was taken: before it was rendered.
 
     A sample is rendered when it is first seen, and up to four times where the camera's noise differs from image to
@@ -110,20 +109,3 @@ class _SceneImages:
             self.fault = f"scene: sample {slot} is not shown: {err}"
             _LOG.warning(self.fault)
             return self._maker.nothing()
-
-
-def scheduled_camera(schedule: ScheduleConfig, fps: int, *, color: bool = False) -> SyntheticCamera:
-    """Start the camera of the scene that the schedule names, perhaps with colours; a `ConfigError` if it breaks a rule."""
-    return scene_camera(scheduled_scene(schedule), schedule, fps, color=color)
-
-
-def scene_camera(scene: SceneConfig, schedule: ScheduleConfig, fps: int, *, color: bool = False) -> SyntheticCamera:
-    """Return a device that streams a scene, not yet started.
-
-    Args:
-        scene: The scene; its camera decides size and lens.
-        schedule: Which sample is on the table when.
-        fps: Images a second, as far as rendering keeps up [Hz].
-        color: Whether it has a colour sensor.
-    """
-    return SyntheticCamera(_SceneImages(scene, schedule), fps, serial="scene", color=color)

@@ -6,7 +6,7 @@ from typing import Any, Final
 from foretouch.camera.config import ScheduleConfig
 from foretouch.models.registry import SIMULATED_HAND_MODEL
 from foretouch_lab.simulation.scene import centre_of_objects, scheduled_scene
-from foretouch_lab.simulation.scene_camera import scheduled_camera
+from foretouch_lab.simulation.scene_camera import SceneImages
 from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 _FPS: Final = 5  # few, so that a small computer has time for the rest of the graph
@@ -41,8 +41,8 @@ class SceneSource:
         return nodes
 
     def device(self, show: ScheduleConfig, fps: int, *, color: bool) -> SyntheticCamera:
-        """Return the camera of a scene, not yet started."""
-        return scheduled_camera(show, fps, color=color)
+        """Return the camera of a scene, perhaps with colours, not yet started; a `ConfigError` if it breaks a rule."""
+        return SyntheticCamera(SceneImages(scheduled_scene(show), show), fps, serial="scene", color=color)
 
 
 SCENE: Final = SceneSource()

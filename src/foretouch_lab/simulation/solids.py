@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solids for ray casting: meshes with a size and a pose, and boxes, cylinders and spheres in closed form.
+"""Solids for ray casting: meshes with a size and a pose.
 
 A mesh stays in its unit box, and rays are transformed there instead: the search tree is built once a shape, for all
 sizes and poses. A ray's parameter t is the same in both frames, since the map between them is linear.
@@ -8,9 +8,9 @@ A ray is o + t·d. The direction is not normalised: with d_z = 1 in the camera's
 the depth itself. All is float64; a ray that misses has t = inf.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +30,7 @@ def about_z(angle: float) -> Float64:
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-def footprint_m(solid: "Body | Primitive") -> float:
+def footprint_m(solid: "Body") -> float:
     """Return the radius of a vertical cylinder about a solid's middle that holds it [m]."""
     return float(np.linalg.norm((solid.corners() - solid.position)[:, :2], axis=1).max())
 
@@ -97,70 +97,3 @@ def _search_tree(shape: str, variant: int) -> Any:
     EmbreeMesh(scene, mesh.vertices[mesh.faces].astype(np.float32))
     scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the tree now
     return scene
-
-
-@dataclass(frozen=True, eq=False)
-class Primitive:
-    """A solid in closed form: a box, a cylinder about its own z axis, or a ball."""
-
-    kind: Literal["box", "cylinder", "ball"]
-    size: Float64  # (3,) float64, edges of the bounding box along its own axes [m]
-    position: Float64  # (3,) float64, its centre in the world [m]
-    rotation: Float64 = field(default_factory=lambda: np.eye(3))  # (3, 3) float64, its axes as columns in the world
-
-    def cast(self, origin: Float64, directions: Float64) -> Float64:
-        """Return where rays enter the solid.
-
-        Args:
-            origin: (3,) float64, world [m], outside the solid.
-            directions: (..., 3) float64, world, of any length.
-
-        Returns:
-            (...) float64, t of the first hit, inf without a hit.
-        """
-        start, along = (origin - self.position) @ self.rotation, directions.reshape(-1, 3) @ self.rotation
-        half = self.size / 2.0
-        if self.kind == "ball":
-            near, far = _ball(start, along, float(half[0]))
-        else:
-            own = slice(0, 3) if self.kind == "box" else slice(2, 3)  # a cylinder is between its caps
-            enter, leave = _slab(start[own], along[:, own], half[own])
-            near, far = enter.max(axis=1), leave.min(axis=1)
-        if self.kind == "cylinder":
-            enter, leave = _ball(start[:2], along[:, :2], float(half[0]))  # and within its mantle
-            near, far = np.maximum(near, enter), np.minimum(far, leave)
-        t = np.where((near <= far) & (near > 0.0), near, np.inf)  # in front of the eye
-        return t.reshape(directions.shape[:-1])
-
-    def corners(self) -> Float64:
-        """Return (8, 3) float64, corners of its oriented bounding box, world [m]."""
-        return self.position + (_UNIT_CORNERS * self.size) @ self.rotation.T
-
-
-def _slab(origin: Float64, directions: Float64, half: Float64) -> tuple[Float64, Float64]:
-    """Return where rays enter and leave |x_i| <= half_i, each (n, k); a parallel ray is always in or never."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        low = (-half - origin) / directions
-        high = (half - origin) / directions
-    near, far = np.fmin(low, high), np.fmax(low, high)
-    parallel = directions == 0.0
-    if parallel.any():
-        inside = np.broadcast_to(np.abs(origin) <= half, parallel.shape)
-        near = np.where(parallel, np.where(inside, -np.inf, np.inf), near)
-        far = np.where(parallel, np.where(inside, np.inf, -np.inf), far)
-    return near, far
-
-
-def _ball(origin: Float64, directions: Float64, radius: float) -> tuple[Float64, Float64]:
-    """Return where rays enter and leave |x| <= radius, each (n,), in 2-D (a mantle) or 3-D (a ball)."""
-    a = np.einsum("ij,ij->i", directions, directions)
-    b = directions @ origin
-    c = float(origin @ origin) - radius**2
-    discriminant = b * b - a * c
-    hit = (discriminant >= 0.0) & (a > 0.0)
-    root = np.sqrt(np.where(hit, discriminant, 0.0))
-    scale = np.where(a > 0.0, a, 1.0)
-    near = np.where(hit, (-b - root) / scale, np.inf)
-    far = np.where(hit, (-b + root) / scale, -np.inf)
-    along = (a == 0.0) & (c <= 0.0)  # parallel to a cylinder's axis, inside its mantle
-    return np.where(along, -np.inf, near), np.where(along, np.inf, far)

@@ -29,7 +29,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile.description import ChannelConfig, Sensor
 from foretouch.types import Float64
-from foretouch_lab.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
+from foretouch_lab.simulation.contact.pad import ContactFrame, PadConfig, PadWindow, pad_direction
 from foretouch_lab.simulation.fingertip import GAIN_SPREAD
 
 FULL_SCALE_N: Final = 1.8  # force on a taxel at which values that are not in newtons leave their range
@@ -109,8 +109,7 @@ class TaxelArray:
             pitch_rad: From the normal of the middle towards the tip [rad].
             roll_rad: Towards +y [rad].
         """
-        across = math.cos(pitch_rad)
-        normal = np.array([math.sin(pitch_rad), across * math.sin(roll_rad), across * math.cos(roll_rad)])
+        normal = pad_direction(pitch_rad, roll_rad) * (1.0, 1.0, -1.0)
         place = np.linalg.pinv(self.curvature) @ (normal[:2] / normal[2])
         x, y = np.clip(place, -self.half_m, self.half_m)
         along = _tangents(normal[None], np.array([1.0, 0.0, 0.0]))[0]
@@ -290,11 +289,9 @@ def _shape(sensor: Sensor, size: Float64) -> tuple[ContactFrame, Float64, Float6
 
 
 def _window(pad: PadConfig, middle: ContactFrame, curvature: Float64, half_m: Float64) -> PadWindow:
-    offset = (np.arange(pad.cells) - (pad.cells - 1) / 2.0) * pad.step_m
-    x, y = np.meshgrid(offset, offset)
+    x, y = pad.grid()
     on_pad = (np.abs(x) <= half_m[0]) & (np.abs(y) <= half_m[1])
-    depth = np.where(on_pad, _depth(curvature, x, y), np.inf)
-    return PadWindow(middle, x, y, depth, middle.points(x, y, -np.where(on_pad, depth, np.nan)))
+    return PadWindow(middle, x, y, np.where(on_pad, _depth(curvature, x, y), np.inf))
 
 
 def _depth(curvature: Float64, x: Any, y: Any) -> Any:

@@ -9,13 +9,13 @@ from counted_work import calls_at_most
 from kernels.references import split as reference
 from safetensors.numpy import load_file
 
+from benchmarks.random_scenes import Primitive
 from foretouch.cloud.segmentation import parts
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import AnyArray, Cloud, Float32, Float64
 from foretouch.types.scene import Scene
 from foretouch_lab.simulation.depth_scene import CameraView
-from foretouch_lab.simulation.solids import Primitive
 
 _H, _W = 360, 480
 _EYE = np.array([0.0, -0.6, 0.65])  # above the table z = 0, which is seen at 47 degrees

@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 from every_case import every_case
 
+from benchmarks.random_scenes import random_scene
 from foretouch.cloud.segmentation.plane import fit_plane
 from foretouch.cloud.segmentation.rays import RayFilter
 from foretouch.cloud.segmentation.segment import SegmentationConfig, _coarse, segment
 from foretouch.types import Cloud
 from foretouch.types.scene import Scene
-from foretouch_lab.simulation.depth_scene import random_scene
 
 Float32 = npt.NDArray[np.float32]
 

@@ -8,12 +8,13 @@ import numpy.typing as npt
 import pytest
 from every_case import every_case
 
+from benchmarks.random_scenes import random_scene
 from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.clusters import ClusterConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import Cloud
 from foretouch.types.scene import Scene
-from foretouch_lab.simulation.depth_scene import RenderedFrame, random_scene
+from foretouch_lab.simulation.depth_scene import RenderedFrame
 
 
 def _overlaps(segmentation: Scene, truth: npt.NDArray[np.int_], first: int = 2) -> list[float]:

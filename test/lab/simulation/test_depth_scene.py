@@ -5,10 +5,18 @@ import numpy as np
 import pytest
 from every_case import every_case
 
+from benchmarks import random_scenes
+from benchmarks.random_scenes import DepthScene, Primitive, random_scene
 from foretouch.camera.device import ensure_libusb
 from foretouch.errors import ConfigError
-from foretouch_lab.simulation import CameraView, DepthScene, Primitive, depth_scene, random_scene
-from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, add_flying_pixels, add_stereo_noise, stereo_shadow
+from foretouch_lab.simulation.depth_scene import (
+    FIRST_OBJECT,
+    TABLE,
+    CameraView,
+    add_flying_pixels,
+    add_stereo_noise,
+    stereo_shadow,
+)
 from foretouch_lab.simulation.solids import Body, footprint_m
 
 POSITION = np.array([0.1, -0.2, 0.3])
@@ -149,7 +157,7 @@ def test_random_objects_stand_on_the_table_apart_and_inside_the_image(monkeypatc
     assert np.array_equal(noisy.depth_mm, again.depth_mm)
     assert not np.array_equal(exact.depth_mm, noisy.depth_mm)
     assert all(np.array_equal(getattr(exact, truth), getattr(noisy, truth)) for truth in ("labels", "plane", "rgb"))
-    monkeypatch.setattr(depth_scene, "_ROUNDS", 2)
+    monkeypatch.setattr(random_scenes, "_ROUNDS", 2)
     with pytest.raises(ConfigError, match="n_objects: 60 find no place in a view of 212x120"):
         random_scene(np.random.default_rng(0), 212, 120, 60)
 

@@ -13,7 +13,8 @@ from foretouch.camera.device import realsense
 from foretouch.errors import ConfigError, FileError, MissingDependencyError
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT
 from foretouch_lab.simulation.scene import centre_of_objects, scheduled_scene
-from foretouch_lab.simulation.scene_camera import FrameMaker, _SceneImages, scene_camera
+from foretouch_lab.simulation.scene_camera import FrameMaker, SceneImages
+from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 START = 1_763_000_000_000_000_000
 SMALL = {"width": 212, "height": 160}
@@ -29,9 +30,9 @@ class Clock:
         return self.now_ns
 
 
-def images(config) -> tuple[_SceneImages, Clock, ScheduleConfig]:
+def images(config) -> tuple[SceneImages, Clock, ScheduleConfig]:
     clock, schedule = Clock(), ScheduleConfig(dwell_s=2.0, origin_ns=START)
-    return _SceneImages(config, schedule, clock), clock, schedule
+    return SceneImages(config, schedule, clock), clock, schedule
 
 
 def test_what_is_seen_is_the_sample_of_its_stamp() -> None:
@@ -67,7 +68,7 @@ def test_it_comes_through_the_software_device_to_the_millimetre_and_the_stamp() 
     config = scene(CAN, camera=SMALL)
     schedule = ScheduleConfig(dwell_s=0.4)
     settings = RealSenseConfig(width=212, height=160, fps=30)
-    with scene_camera(config, schedule, 30) as device, opened(settings, device) as camera:
+    with SyntheticCamera(SceneImages(config, schedule), 30) as device, opened(settings, device) as camera:
         seen = [frame.cloud() for frame in (camera.read(2.0) for _ in range(20)) if frame is not None]
     assert len(seen) == 20
     slots = [schedule.slot(cloud.stamp_ns) for cloud in seen]

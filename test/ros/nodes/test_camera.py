@@ -13,12 +13,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from sim_builders import CAN, scene
 
+from benchmarks.random_scenes import random_scene
 from foretouch.camera.config import RealSenseConfig
 from foretouch.cloud.io.depth_messages import CameraInfos, camera_model
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.types import stamp_ns
-from foretouch_lab.simulation import random_scene
 from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 pytestmark = [

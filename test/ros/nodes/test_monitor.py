@@ -9,6 +9,7 @@ from pair_builders import REST, level
 from robot_builders import QUICK, Robot
 from sensor_msgs.msg import Image, PointCloud2
 
+from benchmarks.random_scenes import random_scene
 from foretouch import plan, segment
 from foretouch.dataset.labelling.assembler import AssemblerConfig
 from foretouch.dataset.labelling.cut import PairingConfig
@@ -16,7 +17,6 @@ from foretouch.ros.messages.clouds import cloud_to_msg, colours_to_msg, objects_
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode, View
 from foretouch.tactile.messages.table import TactileConfig
-from foretouch_lab.simulation.depth_scene import random_scene
 from foretouch_msgs.msg import BiotacAll, GraspArray, Status, TouchPrediction, TouchPredictionArray
 
 pytestmark = pytest.mark.ros

@@ -12,11 +12,11 @@ from numpy.testing import assert_array_equal
 from PIL import Image as Pillow
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
+from benchmarks.random_scenes import random_scene
 from foretouch.cloud.messages import decode_objects
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.nodes import NODES
 from foretouch.types import ASSUMED_TABLE
-from foretouch_lab.simulation.depth_scene import random_scene
 from foretouch_msgs.msg import Status, TouchPredictionArray
 
 pytestmark = pytest.mark.ros

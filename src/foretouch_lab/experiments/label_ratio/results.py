@@ -32,6 +32,7 @@ from foretouch_lab.experiments.framework.experiment import Row, Table
 from foretouch_lab.experiments.label_ratio.training import MODELS
 from foretouch_lab.experiments.shared.figures import Line, save_panels
 from foretouch_lab.experiments.shared.tables import SIGNS, grouped, pivot, select, unique
+from foretouch_lab.learning.evaluation.metrics import ScoreEstimate
 
 # Value of the column `model` for the baseline that is trained on the labelled samples alone.
 TREES: Final = "geometry_trees"
@@ -95,19 +96,11 @@ def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int) -> list[Row]
             values = {"trial": first_run["trial"], "rmse": rmse.mean(), "sd": deviation, "percent": percent}
             row |= {f"{model}_{key}": value for key, value in values.items()}
         change, least, most = _change(srgan, pointnet, sizes, draws)
-        row |= {"change": change, "change_low": least, "change_high": most, "verdict": _verdict(least, most)}
+        verdict = ScoreEstimate(-change, -most, -least).verdict if least is not None and most is not None else None
+        row |= {"change": change, "change_low": least, "change_high": most, "verdict": verdict}
         row |= {"p2_change": P2_CHANGES[name].get(ratio), "mean_rmse": np.sqrt(np.mean(_samples(first, "reference")))}
         result.append(row | {"trees_rmse": np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None})
     return result
-
-
-def _verdict(least: float | None, most: float | None) -> str | None:
-    """Return whether a change of the error in an interval is `better`, `worse` or a `tie`; None without an interval."""
-    if least is None or most is None:
-        return None
-    if most < 0.0:
-        return "better"
-    return "worse" if least > 0.0 else "tie"
 
 
 def _change(
@@ -175,7 +168,7 @@ def draw_models(rows: Rows, folder: Path) -> list[Path]:
     names, models = unique(rows, "modality"), unique(rows, "srgan")
     error, change = "RMSE [% of the range]\nmean ± sd of the runs", "difference of the SR-GAN's RMSE [%]\n95 % interval"
     lines = [
-        Line(3.9, ordered, partial(_draw_errors, models), y_label=error, legend="lower center"),
+        Line(3.9, ordered, partial(_draw_errors, models), y_label=error, legend=True),
         Line(3.4, ordered, partial(_draw_changes, models), "", "share without labels (P2's difference [%])", change),
     ]
     return save_panels(folder / "figure.png", 3.6 * len(names) + 0.6, lines, modalities=names, sharey="row")

@@ -51,9 +51,7 @@ class PrequentialSettings(Settings):
     predictors: tuple[str, ...] = setting(
         (CONSTANT, "contact"), "Predictors by vision; the training mean is none", choices=tuple(PREDICTORS)
     )
-    training_fraction: float = setting(
-        1.0, "Fraction of trees and epochs; below 1 only for quick trials", bounds=(0.001, 1.0)
-    )
+    training_fraction: float = setting(1.0, "Fraction of trees; below 1 only for quick trials", bounds=(0.001, 1.0))
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 

@@ -20,11 +20,10 @@ from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_
 from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.experiments.shared.tables import (
     ALL_OBJECTS,
-    SIGNS,
     grouped,
+    interval_text,
     pivot,
     select,
-    short,
     unique,
     with_notes,
 )
@@ -231,12 +230,14 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     for regime in REGIMES:
         own = select(together, regime=regime)
         title = f"{regime}: {own[0]['grasps']} grasps"
-        tables.append(Table(title, ["known", *MODALITIES], pivot(_with_lines(own), "line", _estimate)))
+        tables.append(
+            Table(title, ["known", *MODALITIES], pivot(_with_lines(own), "line", partial(_text, column="skill")))
+        )
     compared = [
         {**row, "line": f"{row['regime']}, {row['sources']}"} for row in together if row["vs_constant"] is not None
     ]
     for vision, own in grouped(compared, "vision"):
-        body = pivot(own, "line", partial(_estimate, column="vs_constant"))
+        body = pivot(own, "line", partial(_text, column="vs_constant"))
         tables.append(Table(f"Gain of vision, {vision}", ["known besides vision", *MODALITIES], body))
     scored = [row for row in together if row["interval_score"] is not None]
     for vision, own in grouped(scored, "vision"):
@@ -254,17 +255,13 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     return with_notes(tables, notes)
 
 
+_text = partial(interval_text, verdict="vs_constant_verdict", between=" ")
+
+
 def _with_lines(rows: Rows) -> list[Row]:
     """Return rows with the name of their `line` in tables and figure, rows of one source together."""
     named = [{**row, "line": row["sources"] + ("" if row["vision"] == CONSTANT else " + vision")} for row in rows]
     return sorted(named, key=lambda row: SOURCES.index(row["sources"]))
-
-
-def _estimate(row: Row, column: str = "skill") -> str:
-    sign = f" {SIGNS[row['vs_constant_verdict']]}" if row["vs_constant_verdict"] in SIGNS else ""
-    low, high = row[f"{column}_low"], row[f"{column}_high"]
-    ends = "" if low is None else f" [{short(low)}, {short(high)}]"
-    return f"{short(row[column])}{sign}{ends}"
 
 
 def _four(key: str, rows: Sequence[Mapping[str, Any]]) -> str:

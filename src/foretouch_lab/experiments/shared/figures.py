@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of experiments: panels for the modalities, lines over a column, and intervals one below the other."""
+"""Figures of experiments: panels for the modalities, and intervals one below the other."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from foretouch.report.panels import Axes, Rows, new_figure, save_small
 from foretouch.tactile import MODALITIES
-from foretouch_lab.experiments.shared.tables import select, unique
+from foretouch_lab.experiments.shared.tables import select
 
 
 class Line(NamedTuple):
@@ -19,7 +19,7 @@ class Line(NamedTuple):
     title: str = ""
     x_label: str = ""
     y_label: str = ""
-    legend: str = ""  # place beside the panels, such as "right upper"; "" for none
+    legend: bool = False  # whether the names of the first panel stand below the figure
 
 
 def save_panels(
@@ -45,40 +45,8 @@ def save_panels(
         panels[0].set_ylabel(line.y_label)
         if line.legend:
             handles, labels = panels[0].get_legend_handles_labels()
-            place: Any = f"outside {line.legend}"
-            columns = len(labels) if line.legend == "lower center" else 1
-            figure.legend(handles, labels, loc=place, fontsize=8, ncols=columns)
+            figure.legend(handles, labels, loc="outside lower center", fontsize=8, ncols=len(labels))
     return [save_small(figure, path)]
-
-
-def draw_series(
-    axes: Axes, rows: Rows, x: str, series: str, names: Sequence[Any], *, spread: float = 0.0, lowest: float
-) -> None:
-    """Draw a line for each name of a column, with intervals; an arrow marks values below `lowest`.
-
-    Args:
-        axes: The axes.
-        rows: Rows with the columns `skill`, `skill_low` and `skill_high`.
-        x: Column of the horizontal axis, whose values are set at equal distances.
-        series: Column of the names.
-        names: Names in the order of their colours.
-        spread: Distance between markers at one place, so that intervals do not hide each other.
-        lowest: Lower end of the vertical axis.
-    """
-    places = sorted(set(unique(rows, x)))
-    for number, name in enumerate(names):
-        own = sorted(select(rows, **{series: name}), key=lambda row: places.index(row[x]))
-        centres = [places.index(row[x]) + spread * (number - (len(names) - 1) / 2) for row in own]
-        axes.plot(centres, [row["skill"] for row in own], label=name, color=f"C{number}", marker="o", markersize=4)
-        for centre, row in zip(centres, own, strict=True):
-            if row["skill"] < lowest:
-                axes.plot(centre, lowest, marker="v", color=f"C{number}", clip_on=False)
-            if row["skill_low"] is not None:
-                axes.plot([centre] * 2, [row["skill_low"], row["skill_high"]], color=f"C{number}", linewidth=1)
-    axes.axhline(0.0, color="grey", linewidth=0.8)
-    axes.set_xticks(range(len(places)), [str(place) for place in places])
-    axes.set_ylim(lowest, 1.0)
-    axes.grid(visible=True, alpha=0.3)
 
 
 def draw_intervals(

@@ -1,33 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Select and group rows, and write tables of them: texts of numbers, tables of skills, and sentences."""
+"""Select and group rows, and write tables of them: texts of numbers, and notes."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, TypeVar
 
 from foretouch.tactile import MODALITIES
-from foretouch_lab.experiments.framework.experiment import Row, Table
-from foretouch_lab.learning.evaluation.metrics import MEAN
+from foretouch_lab.experiments.framework.experiment import Table
 
 ALL_OBJECTS: Final = "all"  # value of the column `object` for all objects together
 
 R = TypeVar("R", bound=Mapping[str, Any])
 
-MODEL: Final = "contact"  # the default model, which is shown by object if it was run
-
 SIGNS: Final = {"better": "▲", "worse": "▼", "tie": "="}  # by verdict of a comparison
-
-SKILL_COLUMNS: Final = ("skill", *MODALITIES, MEAN)
-
-_LEGEND: Final = (
-    "skill: 0 is the mean of the training labels, 1 is perfect; [95 % interval by bootstrap over objects]; below it the object "
-    "with the lowest skill"
-)
-_VERDICTS: Final = (
-    "▲ significantly better, ▼ significantly worse, = no significant difference (95 % CI) from {references}; "
-    "same grasps, paired bootstrap"
-)
-_ITSELF: Final = "·"
 
 
 def select(rows: Iterable[R], **wanted: Any) -> list[R]:
@@ -79,44 +64,20 @@ def short(value: float | None) -> str:
     return f"{value:.2f}".replace("0.", ".", 1) if abs(value) < 1.0 else f"{value:.1f}"
 
 
+def interval_text(row: Mapping[str, Any], column: str, verdict: str, between: str) -> str:
+    """Return the value of a column with the sign of a comparison and its interval, as far as the row holds them.
+
+    Args:
+        row: With the columns `<column>`, `<column>_low` and `<column>_high`.
+        column: Name of the value.
+        verdict: Column of the comparison.
+        between: Text before the interval.
+    """
+    text = f"{short(row[column])} {SIGNS.get(row[verdict] or '', '')}".rstrip()
+    low, high = row[f"{column}_low"], row[f"{column}_high"]
+    return text if low is None else f"{text}{between}[{short(low)}, {short(high)}]"
+
+
 def with_notes(tables: Sequence[Table], notes: Sequence[str]) -> list[Table]:
     """Return tables with notes below the last one."""
     return [*tables[:-1], replace(tables[-1], notes=notes)]
-
-
-def skill_tables(rows: Sequence[Row], notes: Sequence[str] = ()) -> list[Table]:
-    """Return a table of skills for each `table` of the results, with a sign for each comparison."""
-    references = [name[3:-8] for name in rows[0] if name.startswith("vs_") and name.endswith("_verdict")]
-    tables, by_object = [], []
-    names = SKILL_COLUMNS[1:]
-    for table, own in grouped(rows, "table"):
-        together = select(own, object=ALL_OBJECTS)
-        body = pivot(together, "predictor", lambda row, own=own: _cell(row, references, own), names=names)
-        title = f"{table}: {together[0]['samples']} predictions on {together[0]['objects']} objects"
-        tables.append(Table(title, SKILL_COLUMNS, body))
-        single = [row for row in select(own, predictor=MODEL) if row["object"] != ALL_OBJECTS]
-        if single:
-            body = pivot(single, "object", lambda row: short(row["skill"]), names=names)
-            by_object.append(Table(f"{table}: {MODEL}, by object", SKILL_COLUMNS, body))
-    legend = [_LEGEND]
-    if references:
-        legend.append(_VERDICTS.format(references=", then from ".join(references)))
-    return with_notes([*tables, *by_object], [*legend, *notes])
-
-
-def _cell(row: Row, references: Sequence[str], of_table: Sequence[Row]) -> str:
-    """Return skill, signs of its comparisons and interval; the object with the lowest skill where there are several."""
-    signs = "".join(SIGNS.get(row[f"vs_{name}_verdict"] or "", _ITSELF) for name in references)
-    if not signs.strip(_ITSELF):
-        signs = ""
-    text = f"{short(row['skill'])} {signs}".rstrip()
-    if row["modality"] == MEAN:
-        return text
-    if row["skill_low"] is not None and row["skill_low"] != row["skill_high"]:
-        text += f"\n[{short(row['skill_low'])}, {short(row['skill_high'])}]"
-    own = select(of_table, predictor=row["predictor"], modality=row["modality"])
-    single = [(row["skill"], row["object"]) for row in own if row["object"] != ALL_OBJECTS]
-    if len({skill for skill, _ in single}) > 1:
-        skill, name = min(single)
-        text += f"\n{name} {short(skill)}"
-    return text

@@ -14,26 +14,23 @@ unknown object is zero.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, DatasetError
-from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator, NoveltyDetector
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
 from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
 from foretouch.models.novelty import object_sizes, standardisation
 from foretouch.tactile import BIOTAC, P2_RANGES, Ranges, TactileRanges
-from foretouch.types import Bool, Float64, Sample
+from foretouch.types import Float64, Sample
 from foretouch.types.channels import Channels
-from foretouch_lab.learning.data import channels_of, labels_of
-from foretouch_lab.learning.data.folds import Fold, Indices, object_folds
-from foretouch_lab.learning.prequential import TimedReadings, predict_after
-from foretouch_lab.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
+from foretouch_lab.learning.data import channels_of
+from foretouch_lab.learning.data.folds import Indices, object_folds
+from foretouch_lab.learning.training.calibration import rest_level, resting_labels
 
 DECAY: Final = 2.0
 """Of the kernel, over the mean distance per standardised feature."""
@@ -252,7 +249,7 @@ def _kernel(rows: Float64, scaled: Float64, objects: Sequence[str], ridge: float
 
 
 class ContactPredictor:
-    """A contact model fitted to samples with (S, D) labels [counts]; calibrated once intervals or touches require it.
+    """Fits contact models to samples with (S, D) labels [counts], whose features it computes once.
 
     Attributes:
         rest: (D,) rest level of its predictions [counts].
@@ -260,21 +257,13 @@ class ContactPredictor:
     """
 
     def __init__(self, train: Sequence[Sample], labels: Float64, config: ContactTrainingConfig) -> None:
-        self._channels = channels_of(train)
         self.rest, _ = rest_level(train)
         self.rows = describe_samples(train)
         self._thinned = _describe_thinned(train, config)
         self._train = list(train)
-        self._labels = labels
         self._config = config
-        self._ranges = ranges_of(config, self._channels)
+        self._ranges = ranges_of(config, channels_of(train))
         self._resting = resting_labels(train, labels, self.rest)
-        self._predicted: dict[str, tuple[Float64, np.bool_]] = {}  # by the id of a sample
-
-    @cached_property
-    def estimator(self) -> ContactEstimator:
-        """The model fitted to all training samples."""
-        return self.fit(np.arange(len(self._train)))
 
     def fit(self, chosen: Indices, config: ContactTrainingConfig | None = None) -> ContactEstimator:
         """Return a model fitted to some of the training samples, at the rest level of all of them; by other settings, if given."""
@@ -285,44 +274,4 @@ class ContactPredictor:
 
     def predict(self, samples: Sequence[Sample]) -> Float64:
         """Return (S, D) predictions from vision alone [counts]; labels and tares of the samples are not used."""
-        return self._estimate(samples)[0]
-
-    def predict_after(self, touched: Sequence[Sample], samples: Sequence[Sample]) -> tuple[Float64, Float64]:
-        """Return predictions after touches of the same object, without tares, as `TouchModel.predict` gives them.
-
-        Args:
-            touched: Labelled samples of the object, in any order.
-            samples: Grasps to predict.
-
-        Returns:
-            The predictions and the half widths of their intervals, both (S, D) [counts].
-
-        Raises:
-            DatasetError: If the training samples are all of one object.
-        """
-        earlier = sorted(touched, key=lambda sample: sample.stamp_ns)
-        return predict_after(self.calibration[0], *(self._recording(part) for part in (earlier, samples)))
-
-    def _recording(self, samples: Sequence[Sample]) -> TimedReadings:
-        """Return samples with their predictions by vision, without their tares."""
-        expected, familiar = self._estimate(samples)
-        labels = labels_of(samples) if samples else expected
-        return replace(TimedReadings.of_samples(samples, labels, expected, self.rest, familiar), tares=None)
-
-    @cached_property
-    def calibration(self) -> tuple[Calibration, dict[str, Any]]:
-        """The calibration, from folds of the training samples, of several objects, and its facts for a card."""
-        return calibrate_on_folds(self._train, self._labels, self._without, self._config.seed)
-
-    def _without(self, fold: Fold) -> Float64:
-        return self.fit(fold.train).predict_rows(self.rows[fold.test])[0]
-
-    def _estimate(self, samples: Sequence[Sample]) -> tuple[Float64, Bool]:
-        """Return predictions before any touch and at rest level; each sample is described only once."""
-        new = [sample for sample in samples if sample.id not in self._predicted]
-        if new:
-            pairs = zip(*self.estimator.predict_rows(describe_samples(new)), strict=True)
-            self._predicted |= {sample.id: pair for sample, pair in zip(new, pairs, strict=True)}
-        predictions = [self._predicted[sample.id] for sample in samples]
-        counts = np.array([counts for counts, _ in predictions]).reshape(len(predictions), self._channels.size)
-        return counts, np.array([familiar for _, familiar in predictions], np.bool_)
+        return self.fit(np.arange(len(self._train))).predict_rows(describe_samples(samples))[0]

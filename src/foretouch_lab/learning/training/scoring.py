@@ -50,22 +50,8 @@ def evaluate(
         if split not in known:
             raise ConfigError(f"splits: {none_of(split, known)}")
     named = models if isinstance(models, Mapping) else {MODEL: models}
-    options: dict[str, Any] = {"refit": refit, "seed": seed, "workers": workers, "baselines": baselines}
-    return score_models(dataset_from(samples), named, splits, **options)
-
-
-def score_models(
-    data: Dataset,
-    models: Mapping[str, Any],
-    splits: Sequence[str],
-    *,
-    refit: bool | None = None,
-    seed: int = 0,
-    workers: int = 1,
-    baselines: Mapping[str, Baseline] = BASELINES,
-) -> Evaluation:
-    """Score models by name, and baselines, on the labelled samples of a dataset; see `foretouch.evaluate`."""
-    held_out = {name: hold_out(model, data, refit) for name, model in models.items()}
+    data = dataset_from(samples)
+    held_out = {name: hold_out(model, data, refit) for name, model in named.items()}
     trained_on = np.concatenate([np.empty(0, np.intp), *(one.trained_on for one in held_out.values())])
     asked = held_out_samples(data, seed, trained_on)
     predictors = {name: one.predict for name, one in held_out.items()}

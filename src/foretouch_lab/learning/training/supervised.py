@@ -19,9 +19,6 @@ from torch import Tensor
 from foretouch.config import setting
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig
 from foretouch.types import Float64
-from foretouch_lab.learning.data.folds import Indices
-from foretouch_lab.learning.data.training_set import TrainingSet
-from foretouch_lab.learning.network.networks import TouchNet
 from foretouch_lab.learning.network.pointnet import Inputs
 from foretouch_lab.learning.training.losses import labeled_loss
 from foretouch_lab.learning.training.trainer import EpochsConfig, Trainer, shuffled_batches
@@ -91,12 +88,3 @@ class SupervisedTrainer(Trainer):
             loss = labeled_loss(scaled, self._targets(batch), self.sizes, config.loss, config.root_epsilon)
             self.step("net", loss)
             yield {"loss": float(loss.detach())}
-
-
-def train_network(data: TrainingSet, index: Indices, config: TrainConfig) -> TouchNet:
-    """Train a network on the samples `index`; the same arguments give the same weights on the same machine.
-
-    Raises:
-        DatasetError: If there are fewer samples than one batch, or the loss becomes infinite or NaN.
-    """
-    return SupervisedTrainer(data, index, config).train()

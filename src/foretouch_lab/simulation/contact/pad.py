@@ -9,6 +9,7 @@ origin on the skin, z the outward normal, x as far along the finger as the tange
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, Self
 
 import numpy as np
@@ -35,6 +36,12 @@ class PadConfig(Settings):
         0.012, "Side of the square that a contact with a rigid object is solved on", bounds=(1e-4, 1.0)
     )
     cells: int = setting(24, "Number of cells along one side of that square", bounds=(3, 512))
+
+    def grid(self) -> tuple[Float64, Float64]:
+        """Return x and y, both (N, N), of the centres of the cells about the middle of the window [m]."""
+        offset = (np.arange(self.cells) - (self.cells - 1) / 2.0) * self.step_m
+        x, y = np.meshgrid(offset, offset)
+        return x, y
 
     @property
     def step_m(self) -> float:
@@ -82,16 +89,18 @@ class PadWindow:
     x: Float64  # (N, N) float64 [m], cell centres in the contact frame; changes along a row
     y: Float64  # (N, N) float64 [m]; changes along a column
     depth: Float64  # (N, N) float64 [m], the undeformed skin below the tangent plane; infinite beside the pad
-    points: Float64  # (N, N, 3) float64 [m], the cells on the skin, fingertip frame; NaN beside the pad
+
+    @cached_property
+    def points(self) -> Float64:
+        """(N, N, 3) float64 [m], the cells on the skin, fingertip frame; NaN beside the pad."""
+        return self.frame.points(self.x, self.y, -np.where(np.isfinite(self.depth), self.depth, np.nan))
 
 
 def pad_window(config: PadConfig, direction: Float64) -> PadWindow:
     """Return the window about the place where the outward normal is `direction` (see `contact_frame`)."""
     frame = contact_frame(config, direction)
-    offset = (np.arange(config.cells) - (config.cells - 1) / 2.0) * config.step_m
-    x, y = np.meshgrid(offset, offset)
-    depth = pad_depth(config, frame, x, y)
-    return PadWindow(frame, x, y, depth, frame.points(x, y, -np.where(np.isfinite(depth), depth, np.nan)))
+    x, y = config.grid()
+    return PadWindow(frame, x, y, pad_depth(config, frame, x, y))
 
 
 def pad_direction(pitch_rad: float, roll_rad: float) -> Float64:

@@ -6,8 +6,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from foretouch.models.calibration import Calibration, CalibrationGroup
+from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, MODALITIES
-from foretouch_lab.learning.prequential import TimedReadings, predict_after
+from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, conformal_level, fit_group
 
 SIZE = 50
@@ -47,7 +48,10 @@ def after_touches(group: CalibrationGroup, one: HeldOutPredictions, touches: int
     shift = 2000.0 * np.ones(SIZE)
     made = TimedReadings(np.ones(len(one.labels), np.int64), one.objects, one.labels + shift, one.predicted + shift)
     first = np.arange(len(one.labels)) < touches
-    counts, half = predict_after(calibration, made.take(first), made.take(~first))
+    tracker, asked = SensorTracker(calibration.tracker_parameters), made.take(~first)
+    replay(tracker, made.take(first))
+    level = tracker.level(1, same_object=tracker.touches > 0, known=False)
+    counts, half = tracker.adapt(level, asked.expected)
     return counts - shift, half
 
 

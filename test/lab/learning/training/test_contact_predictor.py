@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contact model calibrated: equal to the released model's predictions, with intervals from held-out samples."""
+"""The contact model calibrated: intervals from held-out samples, which narrow with touches."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact_model_builders import FEW_TREES, with_tares
-from every_case import every_case
+from contact_model_builders import FEW_TREES
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose
 from recording_builders import read_folder
 
+from foretouch import fit
 from foretouch.errors import ConfigError
-from foretouch.models.contact.estimator import save_contact
-from foretouch.models.registry import load_model
-from foretouch.models.touch_model import History, TouchModel
+from foretouch.models.card import CardCalibration
+from foretouch.models.touch_model import History
 from foretouch.tactile import BIOTAC
 from foretouch.types import Sample
 from foretouch_lab.dataset.store_writer import StoreWriter
@@ -22,51 +21,32 @@ from foretouch_lab.learning.data import labels_of, load_dataset
 from foretouch_lab.learning.data.dataset import dataset_of
 from foretouch_lab.learning.data.folds import predict_folds
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group, guarantee
-from foretouch_lab.learning.training.contact import ContactPredictor, describe_samples, fit_contact
+from foretouch_lab.learning.training.contact import describe_samples, fit_contact
 from foretouch_lab.learning.training.learners import make_learner
-from foretouch_lab.learning.training.run_config import load_run_config
+from foretouch_lab.learning.training.run_config import RunConfig, load_run_config
 
 BARE = make_samples(5, 10)
-TARED = with_tares(BARE, drift=60.0)
 
 
-@pytest.fixture(scope="module")
-def bare() -> ContactPredictor:
-    """Fitted to four objects that were recorded without tares."""
-    return ContactPredictor(BARE[:40], labels_of(BARE[:40]), FEW_TREES)
-
-
-@pytest.fixture(scope="module")
-def tared() -> ContactPredictor:
-    """Fitted to the same with tares, whose sensors drift."""
-    return ContactPredictor(TARED[:40], labels_of(TARED[:40]), FEW_TREES)
-
-
-def by_touch_model(model: TouchModel, touched: list[Sample], sample: Sample) -> np.ndarray:
-    """(2, 50) value and half width by the history of a hand."""
-    history = History(model)
+def after_touches(history: History, touched: list[Sample], sample: Sample) -> np.ndarray:
+    """(2, 50) value and half width by the history of a hand after touches of the same object."""
+    hand = history.copy()
     for one in touched:
-        history.touched(one.cloud, one.grasp, one.touch, stamp_ns=one.stamp_ns, same_object=True)
-    read = history.at(max([sample.stamp_ns, *(one.stamp_ns for one in touched)]), same_object=True)
-    (found,) = model.predict(sample.cloud, [sample.grasp], history=read)
+        hand.touched(one.cloud, one.grasp, one.touch, stamp_ns=one.stamp_ns, same_object=True)
+    latest = max([sample.stamp_ns, *(one.stamp_ns for one in touched)])
+    (found,) = hand.predict(sample.cloud, [sample.grasp], stamp_ns=latest, same_object=True)
     return np.array([found.value.values, found.upper.values - found.value.values])
 
 
-def test_predictions_after_touches_are_those_of_the_touch_model(tared, tmp_path) -> None:
-    card = save_contact(tmp_path, "toy", tared.estimator, {}, tared.calibration)
-    model, remaining = load_model(card), TARED[44:]
-
-    def check(touches: int) -> None:
-        touched = TARED[40 : 40 + touches]
-        found = tared.predict_after(touched[::-1], remaining)
-        wanted = [by_touch_model(model, touched, sample) for sample in remaining]
-        assert_allclose(np.swapaxes(found, 0, 1), wanted, atol=1e-9)
-
-    every_case([(touches,) for touches in (0, 1, 3)], check)
+@pytest.fixture(scope="module")
+def calibrated() -> CardCalibration:
+    """Of a model of four objects that were recorded without tares."""
+    config = RunConfig(method="contact", contact=FEW_TREES)
+    return make_learner(config, dataset_of(BARE[:40])).calibrate()
 
 
 @pytest.mark.parametrize("name", ["known", "new"])
-def test_calibration_is_that_of_models_that_never_saw_the_sample(bare, name: str) -> None:
+def test_calibration_is_that_of_models_that_never_saw_the_sample(calibrated, name: str) -> None:
     rows, labels = describe_samples(BARE[:40]), labels_of(BARE[:40])
     objects = np.array([sample.object for sample in BARE[:40]])
     folds, sessions = calibration_folds(BARE[:40], 0)[name]
@@ -75,10 +55,10 @@ def test_calibration_is_that_of_models_that_never_saw_the_sample(bare, name: str
         fitted = fit_contact(rows[fold.train], labels[fold.train], list(objects[fold.train]), FEW_TREES)
         predicted[fold.test] = fitted.predict_rows(rows[fold.test])[0]
     wanted = fit_group(HeldOutPredictions(predicted, labels, objects, sessions, BIOTAC), new=name == "new")
-    found = bare.calibration[0].groups[name]
+    found = calibrated[0].groups[name]
     for field in ("between", "within", "difference_shrinkage", "spread", "half_width"):
         assert_allclose(getattr(found, field), getattr(wanted, field))
-    assert bare.calibration[1]["regimes"][name]["objects"] == 4
+    assert calibrated[1]["regimes"][name]["objects"] == 4
 
 
 @pytest.mark.real_data
@@ -86,11 +66,13 @@ def test_intervals_narrow_on_real_grasps_and_hold_most_of_what_was_read(real_dat
     samples = read_folder(real_data / "vision2tactile")[::9]
     held = max({sample.object for sample in samples}, key=[sample.object for sample in samples].count)
     train, remaining = ([s for s in samples if (s.object == held) is inside] for inside in (False, True))
-    fitted = ContactPredictor(train, labels_of(train), FEW_TREES)
-    counts, half = fitted.predict_after(remaining[:3], remaining[3:])
-    before = fitted.predict_after([], remaining[3:])[1]
-    assert half.mean() < before.mean()
-    assert (np.abs(counts - labels_of(remaining[3:])) <= half).mean() > 0.6
+    history = History(fit(train, "contact-v3", contact=FEW_TREES.to_mapping()))
+    before, after = (
+        np.array([after_touches(history, remaining[:touches], sample) for sample in remaining[3:]])
+        for touches in (0, 3)
+    )
+    assert after[:, 1].mean() < before[:, 1].mean()
+    assert (np.abs(after[:, 0] - labels_of(remaining[3:])) <= after[:, 1]).mean() > 0.6
 
 
 def test_whole_shapes_are_left_out_where_the_training_asks_for_it(tmp_path) -> None:

@@ -13,13 +13,7 @@ from foretouch.models.network.preparation import LengthRangeCheck, prepare_grasp
 from foretouch.models.touch_model import TouchModel
 from foretouch.types import Grasp
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
-from foretouch_lab.learning.training.supervised import (
-    SupervisedTrainer,
-    TrainConfig,
-    train_network,
-    turn,
-    viewing_axis_rotations,
-)
+from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig, turn, viewing_axis_rotations
 
 QUICK = TrainConfig(epochs=60, batch_size=8, learning_rate=5e-3)
 
@@ -28,7 +22,7 @@ def test_it_learns_what_can_be_learned_and_beats_the_mean(samples, small) -> Non
     data = TrainingSet.build(samples, small)
     trainer = SupervisedTrainer(data, np.arange(45), QUICK)
     losses = [trainer.run_epoch()["loss"] for _ in range(60)]
-    net = train_network(data, np.arange(45), QUICK)
+    net = SupervisedTrainer(data, np.arange(45), QUICK).train()
     assert all(torch.equal(value, net.state_dict()[name]) for name, value in trainer.net.cpu().state_dict().items())
     assert losses[-1] < 0.3 * losses[0]
     predicted = predict_set(net, data, np.arange(45, 60))
@@ -39,7 +33,7 @@ def test_it_learns_what_can_be_learned_and_beats_the_mean(samples, small) -> Non
 def test_validation_predicts_what_the_model_predicts(samples, small) -> None:
     """And what was trained on is familiar."""
     data = TrainingSet.build(samples, small)
-    net = train_network(data, np.arange(40), QUICK.replace(epochs=2))
+    net = SupervisedTrainer(data, np.arange(40), QUICK.replace(epochs=2)).train()
     estimator = NetworkPredictor([Network(small, net.folded(), LengthRangeCheck.fit(data.lengths))])
     model = TouchModel(estimator, {"name": "toy", "sha256": ""})
     predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]

@@ -5,10 +5,11 @@ from every_case import every_case
 from scipy.spatial import cKDTree
 from sim_builders import CAN, run, scene
 
+from benchmarks.random_scenes import DepthScene, Primitive
 from foretouch.errors import SimulationError
-from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, GRAZING_DEG, HOLE_SHARE, TABLE, DepthScene
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, GRAZING_DEG, HOLE_SHARE, TABLE
 from foretouch_lab.simulation.effects.view import _free_path, normals_of
-from foretouch_lab.simulation.solids import Body, Primitive
+from foretouch_lab.simulation.solids import Body
 from foretouch_lab.simulation.world import World
 
 STILL = {"x_m": [0, 0], "y_m": [0, 0], "yaw_deg": [0, 0]}
