@@ -33,6 +33,8 @@ from foretouch.tactile.description import Sensor
 
 _DISC: Final = 0.38  # radius, of the distance between neighbours
 _RING: Final = 0.32  # width of the widest ring, of the same
+_BEYOND: Final = 2.0  # percent of the levels
+_SQUARE: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 _PAD: Final = 0.7  # of the skin beyond the taxels, of the same
 _CIRCLE: Final = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)])
 _NUMBERED: Final = 200  # taxels of which each can have its index beside it
@@ -41,8 +43,9 @@ _NUMBERED: Final = 200  # taxels of which each can have its index beside it
 class FingerScale:
     """One scale of colours and of rings, for all fingers of a page.
 
-    A taxel is a disc on the finger's skin, whose colour is its level. The grey ring around a predicted one is as wide as its 90 %
-    interval. A cross marks one that was read outside of its interval, a hollow one is dead.
+    A taxel is a disc on the finger's skin, whose colour is its level: pale at rest, purple as by pressing, orange the other way. The
+    grey ring around a predicted one is as wide as its 90 % interval. A square is around one that was read outside of its interval, a
+    hollow one is dead. The colours end where 2 % of the levels lie beyond.
 
     Args:
         view: The sensor.
@@ -58,12 +61,15 @@ class FingerScale:
 
         self.view, self.tared = view, tared
         known = np.concatenate([[], *levels])
-        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-        colours = "magma_r" if tared or view.channel.contact > 0 else "magma"  # dark where contact is strong
-        if tared and not view.channel.contact:  # in both directions from rest
-            most = max(-low, high)
-            low, high, colours = -most, most, "PuOr"
-        self.colours: dict[str, Any] = {"cmap": colours, "clim": (low, high)}
+        low, high = np.nanpercentile(known, [_BEYOND, 100.0 - _BEYOND]) if known.size else (0.0, 1.0)
+        colours = "magma_r" if view.channel.contact > 0 else "magma"  # dark where contact is strong
+        if tared:
+            high = float(np.nanpercentile(np.abs(known), 100.0 - _BEYOND)) if known.size else 1.0
+            low, colours = -high, "PuOr"
+        self.colours: dict[str, Any] = {"cmap": colours, "clim": (float(low), float(high))}
+        self._extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get(
+            ((known < low).any(), (known > high).any()), "neither"
+        )
         self.widest = max((float(half.max()) for half in halves if half.size), default=0.0)
         self.marks: set[str] = set()  # which marks were drawn
         self._places = 1e3 * view.sensor.layout.unrolled  # [mm]
@@ -80,7 +86,7 @@ class FingerScale:
             finger: Index of the finger.
             levels: (N,) level of each taxel.
             half: (N,) half widths of their intervals; None for none.
-            outside: (N,) taxels that get a cross; None for none.
+            outside: (N,) taxels that get a square around them; None for none.
         """
         self.draw_skin(axes, finger)
         valid = self.view.sensor.valid[finger]
@@ -88,21 +94,21 @@ class FingerScale:
         if half is not None and self.widest > 0.0:
             ring = radius + _RING * self._pitch * half[valid] / self.widest
             self._discs(axes, self._places[valid], ring, facecolors=FAINT)
-        discs = self._discs(axes, self._places[valid], radius, edgecolors="white", cmap=self.colours["cmap"])
+        discs = self._discs(axes, self._places[valid], radius, edgecolors=INK, cmap=self.colours["cmap"])
         discs.set_array(levels[valid])
         discs.set_clim(*self.colours["clim"])
         if not valid.all():
             self.marks.add("hollow: dead")
             self._discs(axes, self._places[~valid], radius, facecolors="none", edgecolors=INK)
         if outside is not None and (outside & valid).any():
-            self.marks.add("×: read outside of its interval")
-            crossed = self._places[outside & valid]
-            axes.plot(*crossed.T, "X", markersize=6.5, color=INK, markeredgecolor="white", markeredgewidth=0.8)
+            self.marks.add("square: read outside of the predicted interval")
+            for place in self._places[outside & valid]:
+                axes.plot(*(place + 1.5 * radius * _SQUARE).T, color=INK, linewidth=1.5)
 
     def draw_skin(self, axes: Axes, finger: int) -> None:
         """Draw one fingertip without its taxels."""
         axes.fill(*self._skin.T, facecolor=SKIN, linewidth=0.0)
-        axes.plot(*self._skin.T, color=finger_colour(finger), linewidth=1.6)  # open where the finger goes on
+        axes.plot(*self._skin.T, color=finger_colour(finger), linewidth=2.0)  # open where the finger goes on
         axes.set(aspect="equal", anchor="N")
         axes.set_axis_off()
         axes.margins(0.03)
@@ -123,8 +129,8 @@ class FingerScale:
 
         scale: ScalarMappable = ScalarMappable(cmap=self.colours["cmap"])
         scale.set_clim(*self.colours["clim"])
-        bar = figure.colorbar(scale, ax=axes, orientation="horizontal", **options)
-        bar.outline.set_visible(False)
+        bar = figure.colorbar(scale, ax=axes, orientation="horizontal", extend=self._extend, **options)
+        bar.outline.set_linewidth(0.5)
         bar.ax.tick_params(labelsize=SMALL_PT)
         bar.ax.locator_params(nbins=6)
         bar.set_label(self.label(), fontsize=SMALL_PT)
@@ -134,7 +140,9 @@ class FingerScale:
         unit = f" {self.view.channel.unit}" if self.view.channel.unit else ""
         widest = self.view.channel.text(self.widest)
         ring = [f"grey ring: 90 % interval, the widest ±{widest}{unit}"] if self.widest > 0.0 else []
-        return "\n".join(filter(None, (self.view.label(from_rest=self.tared), "; ".join([*ring, *sorted(self.marks)]))))
+        names = ["E: electrode, PDC: pressure"] if self.view.sensor.is_biotac else []
+        marks = "; ".join([*names, *ring, *sorted(self.marks)])
+        return "\n".join(filter(None, (self.view.label(from_rest=self.tared), marks)))
 
 
 def _skin_around(places: Float64, pitch: float) -> Float64:

@@ -62,12 +62,8 @@ class TaxelView:
     def label(self, *, from_rest: bool) -> str:
         """Return what `levels` are, with their unit."""
         channel = self.channel
-        change = {-1: "drop", 0: "change", 1: "rise"}[channel.contact]
-        return (
-            f"{change} of {channel.name} from rest [{channel.unit}]"
-            if from_rest
-            else f"{channel.name} [{channel.unit}]"
-        )
+        sign = {-1: f", + pressed ({channel.name} falls)", 0: "", 1: ", + pressed"}[channel.contact]
+        return f"change of {channel.name} from rest [{channel.unit}]{sign}" if from_rest else f"{channel.name} [{channel.unit}]"
 
     def shares(self, values: Float64, rest: Touch | None, ranges: Ranges, finger: int) -> Float64:
         """Return (..., N) float64 in [0, 1]: how far contact has moved each taxel, of (..., D) values of touches.
