@@ -46,9 +46,9 @@ def grasp_before_and_after(model: TouchModel, samples: list[Sample], frames: Fra
     )
 
 
-def grasps_to_draw(scene: SceneConfig) -> list[DrawnGrasp]:
-    """Predict a grasp of each object of a scene before and after the touches, by the model of the simulated hand."""
-    model = load_model("simulated")
+def grasps_to_draw(scene: SceneConfig, name: str = "simulated") -> list[DrawnGrasp]:
+    """Predict a grasp of each object of a scene before and after the touches, by a model: that of the simulated hand."""
+    model = load_model(name)
     frames, samples = FrameMaker(scene), list(Simulation(scene).samples(SAMPLES, workers=1))
     visits = [list(visit) for _, visit in groupby(samples, key=lambda sample: sample.object)]
     return [grasp_before_and_after(model, visit[: TOUCHES + 1], frames) for visit in visits if len(visit) > TOUCHES]

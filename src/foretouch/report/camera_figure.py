@@ -25,7 +25,7 @@ def draw_camera(
     cloud: Cloud,
     areas: Mapping[str, Bool],
     *,
-    colours: Sequence[str] = OBJECT_COLOURS,
+    shown: Bool | None = None,
     table: Float64 | None = None,
     grasp: Grasp | None = None,
     around: float = 0.33,
@@ -37,7 +37,7 @@ def draw_camera(
         axes: Where to draw.
         cloud: An organised cloud.
         areas: By id, (H, W) which pixels an object has.
-        colours: Of the outlines, in turn.
+        shown: (H, W) what is shown with its surroundings; None for all objects.
         table: (n, 3) corners of the table's outline [m].
         grasp: The grasp.
         around: How much is shown on each side of the objects, of their size.
@@ -50,7 +50,7 @@ def draw_camera(
     bare = ~np.isfinite(cloud.xyz[..., 2])
     taken = np.any(list(areas.values()), axis=0) if areas else np.zeros_like(bare)
     for k, inside in enumerate(areas.values()):
-        colour = colours[k % len(colours)]
+        colour = OBJECT_COLOURS[k % len(OBJECT_COLOURS)]
         whole = inside | (without_slits(inside) & bare & ~taken)
         for line in outlines_of(whole):
             axes.plot(*line.T, color="white", linewidth=3.2)
@@ -59,17 +59,24 @@ def draw_camera(
         if k < _LABELS and inside.any():
             own = grasp is not None and (len(areas) == 1 or grasp.object_id in ("", name))
             ends = pixels_of(cloud, np.stack([grasp.g1, grasp.g2])) if own and grasp is not None else None
-            _name(axes, name, inside, colours[k % len(colours)], ends)
+            _name(axes, name, inside, OBJECT_COLOURS[k % len(OBJECT_COLOURS)], ends)
     if grasp is not None:
         _draw_grasp(axes, cloud, grasp, fingers or finger_names(grasp))
-    left, right, top, bottom = window_of(taken, around)
+    left, right, top, bottom = window_of(taken if shown is None else shown, around)
     axes.set(xlim=(left - 0.5, right - 0.5), ylim=(bottom - 0.5, top - 0.5), xticks=[], yticks=[], aspect="equal")
 
 
 def draw_scene_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
-    """Draw the image of a scene with its table and objects."""
+    """Draw the image of a scene with its table and objects; with a grasp only the surroundings of its object."""
     areas = {object_.id: scene.labels == int(object_.id) for object_ in scene.objects}
-    draw_camera(axes, scene.cloud, areas, table=scene.outline, grasp=grasp)
+    shown, around = shown_of(scene, grasp)
+    draw_camera(axes, scene.cloud, areas, shown=shown, table=scene.outline, grasp=grasp, around=around)
+
+
+def shown_of(scene: Scene, grasp: Grasp | None) -> tuple[Bool, float]:
+    """Return (H, W) what is shown of a scene, and how much around it, of its size: the object of a grasp, else all objects."""
+    own = None if grasp is None else next((one for one in scene.objects if one.id == grasp.object_id), None)
+    return (scene.labels > 0, 0.33) if own is None else (scene.labels == int(own.id), 0.8)
 
 
 def outlines_of(inside: Bool) -> list[Float64]:

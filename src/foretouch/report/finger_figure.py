@@ -141,8 +141,8 @@ class FingerScale:
         widest = self.view.channel.text(self.widest)
         ring = [f"grey ring: 90 % interval, the widest ±{widest}{unit}"] if self.widest > 0.0 else []
         names = ["E: electrode, PDC: pressure"] if self.view.sensor.is_biotac else []
-        marks = "; ".join([*names, *ring, *sorted(self.marks)])
-        return "\n".join(filter(None, (self.view.label(from_rest=self.tared), marks)))
+        marks = "; ".join([*ring, *sorted(self.marks)])
+        return "\n".join(filter(None, (self.view.label(from_rest=self.tared), *names, marks)))
 
 
 def _skin_around(places: Float64, pitch: float) -> Float64:

@@ -70,7 +70,7 @@ def draw_boxes(axes: Axes, boxes: Float64, part: str) -> None:
         ImageDraw.Draw(image).polygon(list(map(tuple, outline)), fill=1)
     inside = gaussian_filter(np.asarray(image, np.float64), _MARGIN / 4.0)
     x, y = low[:, None] + step * (np.arange(_SILHOUETTE) - _MARGIN)
-    fill, alpha, zorder = ("white", 0.35, 3.5) if part == PALM else (COLOURS[part], 0.6, 4.0)
+    fill, alpha, zorder = ("#e3e7eb", 0.45, 3.5) if part == PALM else (COLOURS[part], 0.6, 4.0)
     axes.contourf(x, y, inside, levels=[0.5, 2.0], colors=fill, alpha=alpha, zorder=zorder)
     axes.contour(x, y, inside, levels=[0.5], colors=COLOURS[part], linewidths=1.2, zorder=zorder)
 

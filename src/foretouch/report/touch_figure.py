@@ -32,7 +32,7 @@ from foretouch.tactile.dead_taxels import usable
 from foretouch.types import REST, SECOND_NS, TouchSeries
 
 _FINGER_INCH = 1.75  # height of a finger, with its title
-_SCALE_INCH = 0.85  # height of the scale of colours
+_SCALE_INCH = 1.05  # height of the scale of colours
 _LINE = 105  # characters of a title
 _OUTCOMES: Final = {"success": "#1a7f37", "failure": "#c9252d", "unknown": "#404040"}
 _ROW_INCH: Final = 2.0  # height of a grasp
@@ -186,7 +186,7 @@ def _draw_seen(axes: Axes, grasp: DrawnGrasp, target: Object, view: TaxelView, *
     name = f"object {target.id}" if target.id.isdecimal() else target.id
     shown = grasp.prediction.grasp
     draw_camera(axes, cloud, {name: area_of(target, cloud)}, grasp=shown, around=0.7, fingers=view.fingers)
-    drawn = f"{'grasp' if shown.way is None else 'hand (white)'}, {1e3 * shown.width_m:.0f} mm wide"
+    drawn = f"{'grasp' if shown.way is None else 'hand (pale)'}, {1e3 * shown.width_m:.0f} mm wide"
     axes.set_title(f"what the camera sees, {target.distance_m:.2f} m away,\nand the {drawn}", fontsize=TEXT_PT)
 
 
