@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -179,7 +179,7 @@ def _name(axes: Axes, name: str, inside: Bool, colour: str, ends: Float64 | None
     _label(axes, name, place, (0.0, 0.0), colour)
 
 
-def _label(axes: Axes, text: str, place: Float64, shift: Float64 | tuple[float, float], colour: str) -> None:
+def _label(axes: Axes, text: str, place: Any, shift: Any, colour: str) -> None:
     """Write a word at a place of a picture, shifted by some points."""
     axes.annotate(text, place, shift, textcoords="offset points", color="white", fontsize=TEXT_PT,
                   fontweight="bold", ha="center", va="center", zorder=6, annotation_clip=True,

@@ -21,6 +21,7 @@ from foretouch.report.panels import (
     new_figure,
     save,
 )
+from foretouch.tactile.channels import finger_label
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Bool, Float64, Prediction, Touch
 
@@ -61,15 +62,8 @@ class FingerScale:
 
         self.view, self.tared = view, tared
         known = np.concatenate([[], *levels])
-        low, high = np.nanpercentile(known, [_BEYOND, 100.0 - _BEYOND]) if known.size else (0.0, 1.0)
-        colours = "magma_r" if view.channel.contact > 0 else "magma"  # dark where contact is strong
-        if tared:
-            high = float(np.nanpercentile(np.abs(known), 100.0 - _BEYOND)) if known.size else 1.0
-            low, colours = -high, "PuOr"
-        self.colours: dict[str, Any] = {"cmap": colours, "clim": (float(low), float(high))}
-        self._extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get(
-            ((known < low).any(), (known > high).any()), "neither"
-        )
+        colours, low, high = level_colours(view, known, tared=tared)
+        self.colours: dict[str, Any] = {"cmap": colours, "clim": (low, high)}
         self.widest = max((float(half.max()) for half in halves if half.size), default=0.0)
         self.marks: set[str] = set()  # which marks were drawn
         self._places = 1e3 * view.sensor.layout.unrolled  # [mm]
@@ -129,7 +123,7 @@ class FingerScale:
 
         scale: ScalarMappable = ScalarMappable(cmap=self.colours["cmap"])
         scale.set_clim(*self.colours["clim"])
-        bar = figure.colorbar(scale, ax=axes, orientation="horizontal", extend=self._extend, **options)
+        bar = figure.colorbar(scale, ax=axes, orientation="horizontal", extend="both", **options)
         bar.outline.set_linewidth(0.5)
         bar.ax.tick_params(labelsize=SMALL_PT)
         bar.ax.locator_params(nbins=6)
@@ -143,6 +137,18 @@ class FingerScale:
         names = ["E: electrode, PDC: pressure"] if self.view.sensor.is_biotac else []
         marks = "; ".join([*ring, *sorted(self.marks)])
         return "\n".join(filter(None, (self.view.label(from_rest=self.tared), *names, marks)))
+
+
+def level_colours(view: TaxelView, known: Float64, *, tared: bool) -> tuple[str, float, float]:
+    """Return the palette of levels, and the levels of its ends: pale at rest where they are changes, else dark where contact is strong."""
+    colours = "magma_r" if view.channel.contact > 0 else "magma"
+    if not known.size:
+        return ("PuOr", -1.0, 1.0) if tared else (colours, 0.0, 1.0)
+    if tared:
+        high = float(np.nanpercentile(np.abs(known), 100.0 - _BEYOND))
+        return "PuOr", -high, high
+    low, high = map(float, np.nanpercentile(known, [_BEYOND, 100.0 - _BEYOND]))
+    return colours, low, high
 
 
 def _skin_around(places: Float64, pitch: float) -> Float64:
@@ -193,6 +199,9 @@ def _draw_flat(axes: Axes, sensor: Sensor, finger: str, dead: list[int]) -> None
         axes.annotate(
             str(index), (place[right], place[up]), xytext=(4, 4), textcoords="offset points", fontsize=SMALL_PT
         )
+    flat, along = places[:, [right, up]], sensor.layout.unrolled[:, 1]
+    way = (flat - flat.mean(axis=0)).T @ (along - along.mean())  # to the tip
+    way = way / max(float(np.abs(way).max()), 1e-12)
     title = f"{finger} from outside; hollow: dead" if finger else "from outside"
     axes.set(aspect="equal")
     axes.set_xlabel(f"{'xyz'[right]} [mm]", fontsize=SMALL_PT)
@@ -202,6 +211,10 @@ def _draw_flat(axes: Axes, sensor: Sensor, finger: str, dead: list[int]) -> None
     axes.margins(0.1)
     if (facing[depth] < 0.0) != (depth == 1):  # x and z are seen from -y
         axes.invert_xaxis()
+        way = way * [-1.0, 1.0]
+    arrow = {"arrowstyle": "-|>", "color": INK, "lw": 1.5}
+    axes.annotate("", 0.5 + 0.49 * way, 0.5 + 0.36 * way, "axes fraction", "axes fraction", arrowprops=arrow)
+    axes.annotate("tip", 0.5 + 0.33 * way, xycoords="axes fraction", fontsize=TEXT_PT, ha="center", va="center")
 
 
 def save_sensor_figure(sensor: Sensor, path: Path) -> Path:
@@ -223,13 +236,14 @@ def save_sensor_figure(sensor: Sensor, path: Path) -> Path:
     space.scatter(*places.T, color=FINGER_COLOURS[1])
     space.scatter(*(places + length * normals).T, s=0.0)  # so that the axes reach there
     space.quiver(*places.T, *normals.T, length=length, color="grey")
-    space.locator_params(axis="z", nbins=3)
+    space.locator_params(nbins=4)
+    space.locator_params(axis="z", nbins=2)
     for set_label, axis in ((space.set_xlabel, "x"), (space.set_ylabel, "y"), (space.set_zlabel, "z")):
         set_label(f"{axis} [mm]", fontsize=SMALL_PT)
     space.set_title("outward normals", fontsize=TEXT_PT)
     space.tick_params(labelsize=SMALL_PT)
-    space.set_box_aspect(np.ptp([space.get_xlim(), space.get_ylim(), space.get_zlim()], axis=1), zoom=0.85)
+    space.set_box_aspect(np.ptp([space.get_xlim(), space.get_ylim(), space.get_zlim()], axis=1), zoom=0.98)
     values = ", ".join(f"{value.name} [{value.unit}]" for value in config.values)
-    fingers = ", ".join(finger.name for finger in config.fingers)
-    figure.suptitle(f"{config.name}: {sensor.size} taxels with {values}, on {fingers}", fontsize=TEXT_PT)
+    fingers = ", ".join(finger_label(finger.name) for finger in config.fingers)
+    figure.suptitle(f"{config.name} on {fingers}: each of its {sensor.size} taxels reads {values}", fontsize=TEXT_PT)
     return save(figure, path)

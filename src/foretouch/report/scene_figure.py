@@ -181,7 +181,7 @@ def _draw_sides(views: Mapping[str, Axes], target: Object, others: Sequence[Obje
         moved = xyz - centre
         return 1e3 * np.stack([moved @ along, moved @ across, xyz @ up + table.offset], axis=-1)
 
-    own, unseen, names = flat(points), flat(unseen_side(target)), ("g1", "g2") if grasp is None else finger_names(grasp)
+    own, unseen = flat(points), flat(unseen_side(target))
     ends = np.empty((0, 3)) if grasp is None else flat(np.stack([grasp.g1, grasp.g2]))
     hand = {} if grasp is None else {part: flat(boxes) for part, boxes in hand_boxes(grasp).items()}
     low, high = (f(np.concatenate([own, unseen, ends]), axis=0) for f in (np.min, np.max))
@@ -205,15 +205,7 @@ def _draw_sides(views: Mapping[str, Axes], target: Object, others: Sequence[Obje
         for part, boxes in hand.items():
             draw_boxes(axes, boxes[..., [0, row]], part)
         if grasp is not None:
-            axes.plot(ends[:, 0], ends[:, row], color=INK, linewidth=1.6, zorder=5)
-            for k, (finger, colour) in enumerate(zip(names, FINGER_COLOURS, strict=False)):
-                outward, seen = np.sign(ends[k, 0] - ends[1 - k, 0]) or 1.0, np.linalg.norm(own - ends[k], axis=1).min() < _SEEN_MM
-                tail = ends[k, 0] + outward * 0.1 * span, ends[k, row]
-                axes.annotate("", (ends[k, 0], ends[k, row]), tail, zorder=5, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.0})  # fmt: skip
-                axes.plot(ends[k, 0], ends[k, row], "o", color=colour, fillstyle="full" if seen else "none", markersize=7, zorder=5)
-                axes.annotate(finger if seen else f"{finger},\nnot seen", tail, color=colour, fontsize=TEXT_PT, fontweight="bold",
-                              ha="left" if outward > 0.0 else "right", va="center", zorder=5,
-                              bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
+            _draw_contacts(axes, own, ends[:, [0, row]], ends, 0.1 * span, finger_names(grasp))
         middle = (low + high) / 2.0
         bottom = -0.08 * span if row == 2 else middle[1] - 0.5 * span
         axes.set(xlim=(middle[0] - 0.5 * span, middle[0] + 0.5 * span), ylim=(bottom, bottom + span), aspect="equal")
@@ -224,6 +216,23 @@ def _draw_sides(views: Mapping[str, Axes], target: Object, others: Sequence[Obje
         axes.set_title(f"{title}: {place}" if axes is next(iter(views.values())) else place, fontsize=TEXT_PT)
         if row == 2:
             axes.axhline(0.0, color=TABLE, linewidth=1.5)
+
+
+def _draw_contacts(
+    axes: Axes, own: Float64, flat: Float64, ends: Float64, length: float, fingers: Sequence[str]
+) -> None:
+    """Draw the closing line between contacts (2, 2), whose places (2, 3) are hollow where no point (N, 3) was seen, with named arrows [mm]."""
+    axes.plot(*flat.T, color=INK, linewidth=1.6, zorder=5)
+    for k, (finger, colour) in enumerate(zip(fingers, FINGER_COLOURS, strict=False)):
+        outward = np.sign(ends[k, 0] - ends[1 - k, 0]) or 1.0
+        seen = np.linalg.norm(own - ends[k], axis=1).min() < _SEEN_MM
+        tail = flat[k] + [outward * length, 0.0]
+        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.0}
+        axes.annotate("", flat[k], tail, zorder=5, arrowprops=arrow)
+        axes.plot(*flat[k], "o", color=colour, fillstyle="full" if seen else "none", markersize=7, zorder=5)
+        axes.annotate(finger if seen else f"{finger},\nestimated", tail, color=colour, fontsize=TEXT_PT, fontweight="bold",
+                      ha="left" if outward > 0.0 else "right", va="center", zorder=5,
+                      bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
 
 
 def _draw_touch(part: FigureBase, prediction: Prediction, rest: Touch | None, sensor: Sensor | None) -> None:

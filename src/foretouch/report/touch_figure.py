@@ -111,7 +111,9 @@ def _columns(grasp: DrawnGrasp, view: TaxelView, *, tared: bool) -> list[_Column
     if prediction.ok:
         drawn = [finger_levels(view, prediction, rest, k) for k in fingers]
         values, halves = [one for one, _ in drawn], [half for _, half in drawn]
-        columns.append(_Column("predicted", prediction.value, values, halves, None, prediction))
+        touches = prediction.evidence.touches
+        what = f"predicted after\n{touches} touch{'' if touches == 1 else 'es'}" if touches else "predicted"
+        columns.append(_Column(what, prediction.value, values, halves, None, prediction))
     if grasp.read is not None:
         levels = [view.levels(grasp.read.values, rest, k) for k in fingers]
         inside = _inside(grasp.prediction, grasp.read)
@@ -186,8 +188,8 @@ def _draw_seen(axes: Axes, grasp: DrawnGrasp, target: Object, view: TaxelView, *
     name = f"object {target.id}" if target.id.isdecimal() else target.id
     shown = grasp.prediction.grasp
     draw_camera(axes, cloud, {name: area_of(target, cloud)}, grasp=shown, around=0.7, fingers=view.fingers)
-    drawn = f"{'grasp' if shown.way is None else 'hand (pale)'}, {1e3 * shown.width_m:.0f} mm wide"
-    axes.set_title(f"what the camera sees, {target.distance_m:.2f} m away,\nand the {drawn}", fontsize=TEXT_PT)
+    drawn = f"the grasp, {1e3 * shown.width_m:.0f} mm wide{'' if shown.way is None else ' (pale: the hand)'}"
+    axes.set_title(f"what the camera sees, {target.distance_m:.2f} m away,\nand {drawn}", fontsize=TEXT_PT)
 
 
 def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str]) -> None:

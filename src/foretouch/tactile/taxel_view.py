@@ -63,7 +63,11 @@ class TaxelView:
         """Return what `levels` are, with their unit."""
         channel = self.channel
         sign = {-1: f", + pressed ({channel.name} falls)", 0: "", 1: ", + pressed"}[channel.contact]
-        return f"change of {channel.name} from rest [{channel.unit}]{sign}" if from_rest else f"{channel.name} [{channel.unit}]"
+        return (
+            f"change of {channel.name} from rest [{channel.unit}]{sign}"
+            if from_rest
+            else f"{channel.name} [{channel.unit}]"
+        )
 
     def shares(self, values: Float64, rest: Touch | None, ranges: Ranges, finger: int) -> Float64:
         """Return (..., N) float64 in [0, 1]: how far contact has moved each taxel, of (..., D) values of touches.

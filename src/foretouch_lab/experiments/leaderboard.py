@@ -282,7 +282,9 @@ def _draw(rows: Rows, folder: Path) -> list[Path]:
     panels[0].set_yticks(range(len(names)), [_PLAIN.get(name, name) for name in names])
     for name, text in zip(names, panels[0].get_yticklabels(), strict=True):
         text.set(color=_colour({"predictor": name}), fontweight="normal" if name in _BASELINES else "bold")
-    better = {row["split"] for row in totals if row["vs_best_verdict"] == "better" and row["predictor"] not in _BASELINES}
+    better = {
+        row["split"] for row in totals if row["vs_best_verdict"] == "better" and row["predictor"] not in _BASELINES
+    }
     figure.suptitle(
         f"On {len(better) or 'none'} of {len(splits)} splits is a model (bold) certainly better than the best baseline",
         fontsize=TEXT_PT,
