@@ -32,7 +32,18 @@ from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.report.camera_figure import area_of, draw_camera, without_slits
 from foretouch.report.finger_figure import FingerScale, finger_levels, title_finger
 from foretouch.report.hand_figure import COLOURS, finger_names, hand_boxes
-from foretouch.report.panels import FAINT, FINGER_COLOURS, INK, OBJECT_COLOURS, PAGE_INCH, SMALL_PT, TEXT_PT, Axes, new_figure, save
+from foretouch.report.panels import (
+    FAINT,
+    FINGER_COLOURS,
+    INK,
+    OBJECT_COLOURS,
+    PAGE_INCH,
+    SMALL_PT,
+    TEXT_PT,
+    Axes,
+    new_figure,
+    save,
+)
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.taxel_view import TaxelView
@@ -46,6 +57,7 @@ NOISE_M: Final = 0.0008  # of the depth at 1 m
 RED, BLUE, YELLOW, GREEN = (0.78, 0.22, 0.18), (0.2, 0.45, 0.7), (0.88, 0.66, 0.2), (0.36, 0.6, 0.36)
 WHITE, GREY, PURPLE, BROWN = (0.86, 0.86, 0.84), (0.55, 0.57, 0.6), (0.5, 0.35, 0.6), (0.45, 0.33, 0.25)
 REASONS: Final = {"enters_view": "#d1495b", "beyond_table": "#3b6fb6", "floating": "#8f4fd1", "wall": "#b8860b"}
+REASON_TEXTS: Final = {"enters_view": "refused: enters the view", "beyond_table": "refused: beyond the table", "floating": "refused: floats", "wall": "refused: wall"}  # fmt: skip
 WAY, DEPTH, BARE, REFUSED = "#c8501e", "#6a4c93", "#5a5a5a", "#b00020"
 HANDS: Final = {HAND: "Shadow Hand", "franka_hand": "Franka Hand", "robotiq_2f85": "Robotiq 2F-85"}
 AXES: Final = ("#d62728", "#2ca02c", "#1f77b4")  # x, y, z as in RViz
@@ -129,7 +141,12 @@ def draw_found(axes: Axes, scene: Scene) -> None:
         if part is max(alike, key=attrgetter("n_points")):
             rows, columns = np.nonzero(inside)
             k = int(np.argmin(np.hypot(rows - np.median(rows), columns - np.median(columns))))
-            label(axes, part.background, (columns[k], rows[k]), colour)
+            text, place = REASON_TEXTS[part.background], np.array([columns[k], rows[k]])
+            at = np.clip(place, 6.6 * len(text), width - 6.6 * len(text)) * [1, 0] + [
+                0,
+                rows[k] + (75 if inside.mean() < 0.06 else 0),
+            ]
+            label(axes, text, at, colour, place if inside.mean() < 0.06 else None)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
 
 
@@ -145,7 +162,7 @@ def label(axes: Axes, text: str, place: Any, colour: str, at: Any = None) -> Non
 
 def draw_background() -> None:
     """Draw what is no object, and why."""
-    figure = new_figure(PAGE_INCH, 3.3)
+    figure = new_figure(PAGE_INCH, 3.0)
     left, right = figure.subplots(1, 2)
     for axes, things, view in ((left, room(), (1.0, 48.0)), (right, full_bin(), (0.7, 10.0))):
         draw_found(axes, Pipeline().segment(photograph(things, *view).cloud(NOISE_M)))
@@ -157,7 +174,7 @@ def draw_background() -> None:
 def draw_joins() -> None:
     """Draw a pile, its connected points, and its objects."""
     cloud = photograph(pile(), 0.62, 35.0).cloud(NOISE_M)
-    figure = new_figure(PAGE_INCH, 2.6)
+    figure = new_figure(PAGE_INCH, 2.4)
     panels = figure.subplots(1, 3)
     whole, divided = (
         Pipeline(PipelineConfig().updated({"segmentation.split.angle_deg": angle})).segment(cloud)
@@ -165,12 +182,15 @@ def draw_joins() -> None:
     )
     counts = divided.counts
     titles = (
-        "a pile", f"{len(whole.objects)} clusters of connected points",
-        f"divided and joined: {len(divided.objects)} objects",
+        "a pile", f"connected points: {len(whole.objects)} objects",
+        f"divided where they touch: {len(divided.objects)} objects",
     )  # fmt: skip
-    for axes, scene, title in zip(panels, (None, whole, divided), titles, strict=True):
-        areas = {} if scene is None else {one.id: scene.labels == int(one.id) for one in scene.objects}
-        draw_camera(axes, cloud, areas)
+    first, second = ([scene.labels == int(one.id) for one in scene.objects] for scene in (whole, divided))
+    for k, inside in enumerate(first):  # an object keeps its colour and number
+        alike = max(range(k, len(second)), key=lambda j: int((second[j] & inside).sum()))
+        second[k], second[alike] = second[alike], second[k]
+    for axes, found, title in zip(panels, ([], first, second), titles, strict=True):
+        draw_camera(axes, cloud, {str(k): inside for k, inside in enumerate(found, 1)})
         axes.set(xlim=(100, 540), ylim=(430, 60))
         axes.set_title(title, fontsize=TEXT_PT)
     print({name: counts[name] for name in counts if name.startswith(("clusters", "parts", "joined"))})  # noqa: T201
@@ -220,7 +240,9 @@ def draw_taken(axes: Axes, things: Sequence[Thing], camera: CameraView, grasp: G
     for line, colour in (((thumb, finger), INK), ((middle_of, shallow), DEPTH)):
         for width, tint in ((4.0, "white"), (2.0, colour)):
             axes.plot(*np.stack(line).T, color=tint, linewidth=width, solid_capstyle="butt")
-    for end, place, name, colour in zip(ends, (thumb, finger), ("thumb", "middle finger"), FINGER_COLOURS, strict=False):
+    for end, place, name, colour in zip(
+        ends, (thumb, finger), ("thumb", "middle finger"), FINGER_COLOURS, strict=False
+    ):
         draw_contact(axes, eye, depth, end, name, (145, 440) if place[0] < middle_of[0] else (525, 440), colour)
     start, ahead = np.array([530.0, 75.0]), middle_of - shallow
     end = start + 110.0 * ahead / np.linalg.norm(ahead)
@@ -237,7 +259,15 @@ def draw_contact(axes: Axes, eye: CameraView, depth: Float64, end: Float64, name
     (place,) = on_picture(eye, end[None])
     hidden = eye.to_camera(end[None])[0, 2] > depth[round(place[1]), round(place[0])] + 0.006
     label(axes, name, at, colour, place)
-    axes.plot(*place, "o", color=colour, markerfacecolor="none" if hidden else colour, markersize=7.5, zorder=8, markeredgewidth=1.8)
+    axes.plot(
+        *place,
+        "o",
+        color=colour,
+        markerfacecolor="none" if hidden else colour,
+        markersize=7.5,
+        zorder=8,
+        markeredgewidth=1.8,
+    )
 
 
 def draw_refused(axes: Axes, camera: CameraView) -> None:
@@ -292,7 +322,8 @@ def draw_figure_seen(axes: Axes, drawn: DrawnGrasp) -> None:
     """Draw the figure as the camera sees it, with the contacts of the grasp."""
     assert drawn.target is not None  # noqa: S101
     assert drawn.scene is not None  # noqa: S101
-    grasp, areas = replace(drawn.prediction.grasp, way=None), {"object": area_of(drawn.target, drawn.scene)}
+    grasp = replace(drawn.prediction.grasp, way=None)
+    areas = {"object": area_of(drawn.target, drawn.scene)}
     draw_camera(axes, drawn.scene, areas, grasp=grasp, around=0.5, fingers=("thumb", "middle finger"))
 
 
@@ -343,7 +374,9 @@ def draw_adaptation() -> None:
     scale.add_bar(right, list(grid.flat), shrink=0.9, aspect=35)
     for panel, prediction in zip(grid[1], (grasp.earlier, grasp.prediction), strict=False):
         error = np.abs(prediction.value.values - grasp.read.values)[2:].mean()
-        panel.text(0.5, -0.02, f"error: {error:.0f} counts", transform=panel.transAxes, ha="center", va="top", fontsize=TEXT_PT)
+        panel.text(
+            0.5, -0.02, f"error: {error:.0f} counts", transform=panel.transAxes, ha="center", va="top", fontsize=TEXT_PT
+        )
     save_photo(figure, FOLDER / "adaptation.png")
 
 
@@ -460,7 +493,7 @@ def draw_frames() -> None:
     body = box((0.2, 0.2, 0.22), (0.12, 0.03, 0.03), camera.eye - [0.0, 0.0, 0.015])
     frame, stage = frame_in_world(grasp, camera), Stage([body, *things], hand=True)
     middle, across, into = frame[:3, 3], frame[:3, 0], frame[:3, 2]
-    far = looking((1.0, -1.15, 0.75), (-0.08, -0.06, 0.42), 640, 640, 46.0)
+    far = looking((1.0, -1.15, 0.75), (-0.22, -0.06, 0.42), 640, 640, 46.0)
     aside = np.cross([0.0, 0.0, 1.0], across)
     aside *= np.sign(aside @ into) or 1.0
     near = looking(middle + 0.45 * aside - 0.1 * across + [0.0, 0.0, 0.22], middle, 640, 640, 40.0)
@@ -468,7 +501,10 @@ def draw_frames() -> None:
     left, right = figure.subplots(1, 2)
     depth = stage.photograph(near).depth
     stage.place_hand(frame, grasp.width_m)
-    for axes, eye, title in ((left, far, "the camera's optical frame"), (right, near, "the frame of the hand at a grasp")):
+    for axes, eye, title in (
+        (left, far, "the camera's optical frame"),
+        (right, near, "the frame of the hand at a grasp"),
+    ):
         axes.imshow(stage.look(eye))
         axes.set_title(title, fontsize=TEXT_PT)
         axes.set(xticks=[], yticks=[], xlim=(0, 640), ylim=(640, 0))
@@ -478,17 +514,21 @@ def draw_frames() -> None:
     triad(right, near, middle, rotation, ("X", "Y", "Z: g2 to g1"), 0.1)
     ends = camera.to_world(np.stack([grasp.g1, grasp.g2]))
     right.plot(*on_picture(near, ends).T, "--", color=INK, linewidth=1.5)
-    for number, end, name, colour, at in zip(("g1", "g2"), ends, finger_names(grasp), FINGER_COLOURS, (150, 490), strict=False):
+    for number, end, name, colour, at in zip(
+        ("g1", "g2"), ends, finger_names(grasp), FINGER_COLOURS, (150, 490), strict=False
+    ):
         draw_contact(right, near, depth, end, f"{number}: {name}", (at, 560), colour)
     save_photo(figure, FOLDER / "frames.png")
 
 
-def triad(axes: Axes, eye: CameraView, origin: Float64, rotation: Float64, names: Sequence[str], length_m: float) -> None:
+def triad(
+    axes: Axes, eye: CameraView, origin: Float64, rotation: Float64, names: Sequence[str], length_m: float
+) -> None:
     """Draw the three axes of a frame of the world as a camera sees them."""
     start = on_picture(eye, origin[None])[0]
     for direction, colour, name in zip(rotation.T, AXES, names, strict=True):
         (end,) = on_picture(eye, origin + length_m * direction[None])
-        beyond = end + [90.0, 30.0] * (end - start) / np.linalg.norm(end - start)
+        beyond = end + [90.0, 40.0] * (end - start) / np.linalg.norm(end - start)
         beyond[0] = np.clip(beyond[0], 9.0 * len(name), 640.0 - 9.0 * len(name))
         axes.annotate(
             "", end, start, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.4, "shrinkA": 0, "shrinkB": 0}
@@ -522,6 +562,7 @@ def draw_hands() -> None:
     can = turned(YELLOW, profile, (0.0, 0.0, 0.0), lying=0.6)
     camera = CameraView.towards_table(640, 480, 0.75, np.radians(20.0))
     figure = new_figure(PAGE_INCH, 3.0)
+    figure.suptitle("one can, taken by three hands (the boxes that describe them)", fontsize=TEXT_PT)
     for axes, (name, title) in zip(figure.subplots(1, 3), HANDS.items(), strict=True):
         grasp = plan_on([can], camera, name)[2].grasps[0]
         draw_hand_boxes(axes, grasp, can, camera)
@@ -537,11 +578,12 @@ def draw_hand_boxes(axes: Axes, grasp: Grasp, thing: Thing, camera: CameraView) 
     aside = np.cross(across, [0.0, 0.0, 1.0])
     eye = looking(middle + 0.55 * aside + 0.18 * across + [0.0, 0.0, 0.18], (*middle[:2], 0.075), 640, 640, 36.0)
     axes.imshow(Stage([thing, *shapes]).look(eye))
-    ends = on_picture(eye, middle + np.outer([0.5, -0.5], across * grasp.width_m))
+    depth = Stage([thing]).photograph(eye).depth
+    ends = middle + np.outer([0.5, -0.5], across * grasp.width_m)
     named = ("thumb", "middle finger") if grasp.way and grasp.way.joints else ("finger at g1", "finger at g2")
-    for place, text, colour in zip(ends, named, FINGER_COLOURS, strict=False):
-        axes.plot(*place, "o", color=colour, markeredgecolor="white", markersize=7.5)
-        label(axes, text, (125 if place[0] < 320 else 515, 530), colour, place)
+    for end, text, colour in zip(ends, named, FINGER_COLOURS, strict=False):
+        left = on_picture(eye, end[None])[0, 0] < 320
+        draw_contact(axes, eye, depth, end, text, (125 if left else 515, 530), colour)
     label(axes, "object", (320, 605), BARE, on_picture(eye, middle[None])[0])
     nearest = min(parts["palm"], key=lambda box: float(np.linalg.norm(box.mean(axis=0) - middle)))
     label(axes, "palm", (110, 45), BARE, on_picture(eye, nearest.mean(axis=0)[None])[0])

@@ -68,7 +68,13 @@ class Run:
 def demo_run(seed: int) -> Run:
     """Return the grasp of a seed, predicted by the model `simulated` from the cloud and a tare."""
     demo = load_scene(FOLDER.parent / "config" / "scenes" / "demo.yaml")
-    changes = {"campaign.objects": 1, "campaign.grasps": 1, "clutter.count": 3, "clutter.distance_m": APART_M, "seed": seed}
+    changes = {
+        "campaign.objects": 1,
+        "campaign.grasps": 1,
+        "clutter.count": 3,
+        "clutter.distance_m": APART_M,
+        "seed": seed,
+    }
     of_can = replace(demo.updated(changes), objects=demo.objects[:1])
     samples = list(Simulation(of_can).samples(1))
     played = replay_model(load_model("simulated"), samples).played

@@ -9,8 +9,6 @@ from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
-from PIL import Image
-
 from foretouch import History, Sample, TouchModel, load_model
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
@@ -21,7 +19,6 @@ from foretouch_lab.simulation.simulate import Simulation
 ROOT = Path(__file__).parents[1]
 TOUCHES = 2  # before the grasp that is drawn
 SAMPLES = 10  # of the scene
-COLOURS = 256
 
 
 def grasp_before_and_after(model: TouchModel, samples: list[Sample], frames: FrameMaker) -> DrawnGrasp:
@@ -56,9 +53,7 @@ def grasps_to_draw(scene: SceneConfig, name: str = "simulated") -> list[DrawnGra
 
 def main(scene_path: str = str(ROOT / "config" / "scenes" / "demo.yaml"), picture: str = "touch.png") -> None:
     """Draw the picture."""
-    path = save_touch_picture(picture, grasps_to_draw(load_scene(scene_path)))
-    Image.open(path).convert("RGB").quantize(COLOURS).save(path, optimize=True)  # a third of the size
-    print(path)
+    print(save_touch_picture(picture, grasps_to_draw(load_scene(scene_path))))
 
 
 if __name__ == "__main__":
