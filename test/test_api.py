@@ -272,7 +272,7 @@ def test_the_drawing_has_what_is_given(scene, tmp_path):
     rows, columns = np.nonzero(scene.labels)
     assert (corners.min(axis=0) < (columns.min(), rows.min())).all()
     assert (corners.max(axis=0) > (columns.max(), rows.max())).all()
-    assert {"g1", "g2"} <= {text.get_text().partition(",")[0] for text in (*above.texts, *side.texts)}
+    assert {"g1", "g2"} <= {text.get_text() for text in (*above.texts, *side.texts)}
     for axes, electrodes in zip(fingers, touch["E"].value[1], strict=True):
         np.testing.assert_allclose(axes.collections[-1].get_array(), electrodes)
     assert "90 % interval" in scale.get_xlabel()

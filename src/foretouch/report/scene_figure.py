@@ -209,7 +209,8 @@ def _draw_sides(views: Mapping[str, Axes], target: Object, others: Sequence[Obje
         middle = (low + high) / 2.0
         bottom = -0.08 * span if row == 2 else middle[1] - 0.5 * span
         axes.set(xlim=(middle[0] - 0.5 * span, middle[0] + 0.5 * span), ylim=(bottom, bottom + span), aspect="equal")
-        axes.set_xlabel("along the closing line [mm]" if grasp is not None else "x [mm]", fontsize=SMALL_PT)
+        along_line = "along the closing line [mm]; a hollow contact is estimated"
+        axes.set_xlabel(along_line if grasp is not None else "x [mm]", fontsize=SMALL_PT)
         axes.set_ylabel("across [mm]" if row == 1 else "height above the table [mm]", fontsize=SMALL_PT)
         axes.tick_params(labelsize=SMALL_PT)
         place = {"above": "from above", "side": "from the side"}[name]
@@ -230,8 +231,8 @@ def _draw_contacts(
         arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.0}
         axes.annotate("", flat[k], tail, zorder=5, arrowprops=arrow)
         axes.plot(*flat[k], "o", color=colour, fillstyle="full" if seen else "none", markersize=7, zorder=5)
-        axes.annotate(finger if seen else f"{finger},\nestimated", tail, color=colour, fontsize=TEXT_PT, fontweight="bold",
-                      ha="left" if outward > 0.0 else "right", va="center", zorder=5,
+        axes.annotate(finger, flat[k], (4.0 * outward, 8.0), textcoords="offset points", color=colour, fontsize=TEXT_PT,
+                      fontweight="bold", ha="left" if outward > 0.0 else "right", va="bottom", zorder=5,
                       bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
 
 
