@@ -29,10 +29,21 @@ from foretouch.cli.main import main as command
 from foretouch.grasp import GraspPlan
 from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.report.camera_figure import area_of, draw_camera, pixels_of, without_slits
+from foretouch.report.camera_figure import area_of, draw_camera, without_slits
 from foretouch.report.finger_figure import FingerScale, finger_levels, title_finger
-from foretouch.report.hand_figure import COLOURS, hand_boxes
-from foretouch.report.panels import FAINT, FINGER_COLOURS, INK, PAGE_INCH, SMALL_PT, TEXT_PT, Axes, new_figure, save
+from foretouch.report.hand_figure import COLOURS, finger_names, hand_boxes
+from foretouch.report.panels import (
+    FAINT,
+    FINGER_COLOURS,
+    INK,
+    OBJECT_COLOURS,
+    PAGE_INCH,
+    SMALL_PT,
+    TEXT_PT,
+    Axes,
+    new_figure,
+    save,
+)
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.taxel_view import TaxelView
@@ -46,6 +57,7 @@ NOISE_M: Final = 0.0008  # of the depth at 1 m
 RED, BLUE, YELLOW, GREEN = (0.78, 0.22, 0.18), (0.2, 0.45, 0.7), (0.88, 0.66, 0.2), (0.36, 0.6, 0.36)
 WHITE, GREY, PURPLE, BROWN = (0.86, 0.86, 0.84), (0.55, 0.57, 0.6), (0.5, 0.35, 0.6), (0.45, 0.33, 0.25)
 REASONS: Final = {"enters_view": "#d1495b", "beyond_table": "#3b6fb6", "floating": "#8f4fd1", "wall": "#b8860b"}
+REASON_TEXTS: Final = {"enters_view": "refused: enters the view", "beyond_table": "refused: beyond the table", "floating": "refused: floats", "wall": "refused: wall"}  # fmt: skip
 WAY, DEPTH, BARE, REFUSED = "#c8501e", "#6a4c93", "#5a5a5a", "#b00020"
 HANDS: Final = {HAND: "Shadow Hand", "franka_hand": "Franka Hand", "robotiq_2f85": "Robotiq 2F-85"}
 AXES: Final = ("#d62728", "#2ca02c", "#1f77b4")  # x, y, z as in RViz
@@ -129,7 +141,12 @@ def draw_found(axes: Axes, scene: Scene) -> None:
         if part is max(alike, key=attrgetter("n_points")):
             rows, columns = np.nonzero(inside)
             k = int(np.argmin(np.hypot(rows - np.median(rows), columns - np.median(columns))))
-            label(axes, part.background, (columns[k], rows[k]), colour)
+            text, place = REASON_TEXTS[part.background], np.array([columns[k], rows[k]])
+            at = np.clip(place, 6.6 * len(text), width - 6.6 * len(text)) * [1, 0] + [
+                0,
+                rows[k] + (75 if inside.mean() < 0.06 else 0),
+            ]
+            label(axes, text, at, colour, place if inside.mean() < 0.06 else None)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
 
 
@@ -145,7 +162,7 @@ def label(axes: Axes, text: str, place: Any, colour: str, at: Any = None) -> Non
 
 def draw_background() -> None:
     """Draw what is no object, and why."""
-    figure = new_figure(PAGE_INCH, 3.3)
+    figure = new_figure(PAGE_INCH, 3.0)
     left, right = figure.subplots(1, 2)
     for axes, things, view in ((left, room(), (1.0, 48.0)), (right, full_bin(), (0.7, 10.0))):
         draw_found(axes, Pipeline().segment(photograph(things, *view).cloud(NOISE_M)))
@@ -157,7 +174,7 @@ def draw_background() -> None:
 def draw_joins() -> None:
     """Draw a pile, its connected points, and its objects."""
     cloud = photograph(pile(), 0.62, 35.0).cloud(NOISE_M)
-    figure = new_figure(PAGE_INCH, 2.6)
+    figure = new_figure(PAGE_INCH, 2.4)
     panels = figure.subplots(1, 3)
     whole, divided = (
         Pipeline(PipelineConfig().updated({"segmentation.split.angle_deg": angle})).segment(cloud)
@@ -165,12 +182,15 @@ def draw_joins() -> None:
     )
     counts = divided.counts
     titles = (
-        "a pile", f"{len(whole.objects)} clusters of connected points",
-        f"divided and joined: {len(divided.objects)} objects",
+        "a pile", f"connected points: {len(whole.objects)} objects",
+        f"divided where they touch: {len(divided.objects)} objects",
     )  # fmt: skip
-    for axes, scene, title in zip(panels, (None, whole, divided), titles, strict=True):
-        areas = {} if scene is None else {one.id: scene.labels == int(one.id) for one in scene.objects}
-        draw_camera(axes, cloud, areas)
+    first, second = ([scene.labels == int(one.id) for one in scene.objects] for scene in (whole, divided))
+    for k, inside in enumerate(first):  # an object keeps its colour and number
+        alike = max(range(k, len(second)), key=lambda j: int((second[j] & inside).sum()))
+        second[k], second[alike] = second[alike], second[k]
+    for axes, found, title in zip(panels, ([], first, second), titles, strict=True):
+        draw_camera(axes, cloud, {str(k): inside for k, inside in enumerate(found, 1)})
         axes.set(xlim=(100, 540), ylim=(430, 60))
         axes.set_title(title, fontsize=TEXT_PT)
     print({name: counts[name] for name in counts if name.startswith(("clusters", "parts", "joined"))})  # noqa: T201
@@ -200,34 +220,54 @@ def draw_taken(axes: Axes, things: Sequence[Thing], camera: CameraView, grasp: G
         things: What is on the table.
         camera: Which saw it.
         grasp: In its frame.
-        around_deg: How far the view is turned about the vertical, from across the closing line towards the thumb.
+        around_deg: How far the view is turned about the vertical, from where the hand goes to, towards the thumb.
     """
     frame = frame_in_world(grasp, camera)
     assert grasp.way is not None  # noqa: S101
     stage = Stage(things, hand=True)
-    stage.place_hand(frame, grasp.width_m)
     middle, across, into = frame[:3, 3], frame[:3, 0], frame[:3, 2]
     aside, turn = np.cross([0.0, 0.0, 1.0], across), np.radians(around_deg)
+    aside *= np.sign(aside @ into) or 1.0  # the hand comes towards the view
     level = middle * (1.0, 1.0, 0.0)
     from_here = level + 0.42 * (np.cos(turn) * aside + np.sin(turn) * across)
     eye = looking((*from_here[:2], 0.27), (*level[:2], 0.12), 640, 640, 48.0)
+    depth = stage.photograph(eye).depth
+    stage.place_hand(frame, grasp.width_m)
     axes.imshow(stage.look(eye))
-    thumb, finger = on_picture(eye, middle + np.outer([0.5, -0.5], across * grasp.width_m))
+    ends = middle + np.outer([0.5, -0.5], across * grasp.width_m)
+    thumb, finger = on_picture(eye, ends)
     middle_of, shallow = on_picture(eye, np.stack([middle, middle - grasp.way.depth_m * into]))
     for line, colour in (((thumb, finger), INK), ((middle_of, shallow), DEPTH)):
         for width, tint in ((4.0, "white"), (2.0, colour)):
             axes.plot(*np.stack(line).T, color=tint, linewidth=width, solid_capstyle="butt")
-    for place, name, colour in zip((thumb, finger), ("thumb", "middle finger"), FINGER_COLOURS, strict=False):
-        axes.plot(*place, "o", color=colour, markeredgecolor="white", markersize=7.5)
-        label(axes, name, (75, 400) if place[0] < middle_of[0] else (510, 420), colour, place)
-    start, ahead = np.array([500.0, 75.0]), middle_of - shallow
-    end = start + 130.0 * ahead / np.linalg.norm(ahead)
+    for end, place, name, colour in zip(
+        ends, (thumb, finger), ("thumb", "middle finger"), FINGER_COLOURS, strict=False
+    ):
+        draw_contact(axes, eye, depth, end, name, (145, 440) if place[0] < middle_of[0] else (525, 440), colour)
+    start, ahead = np.array([530.0, 75.0]), middle_of - shallow
+    end = start + 110.0 * ahead / np.linalg.norm(ahead)
     arrow = {"arrowstyle": "-|>,head_width=0.4,head_length=0.8", "color": WAY, "lw": 3.0}
     axes.annotate("", end, start, arrowprops=arrow)
-    label(axes, "way of the hand", (490.0, 30.0), WAY)
-    label(axes, f"depth {1e3 * grasp.way.depth_m:.0f} mm", (515, 330), DEPTH, (middle_of + shallow) / 2.0)
+    label(axes, "approach", (530.0, 30.0), WAY)
+    label(axes, f"{1e3 * grasp.way.depth_m:.0f} mm deep", (510, 265), DEPTH, (middle_of + shallow) / 2.0)
     label(axes, "object", (470, 590), BARE, on_picture(eye, np.add(level, (0.0, 0.0, 0.03))[None])[0])
     axes.set(xticks=[], yticks=[], xlim=(0, 640), ylim=(640, 0))
+
+
+def draw_contact(axes: Axes, eye: CameraView, depth: Float64, end: Float64, name: str, at: Any, colour: str) -> None:
+    """Draw a contact in the world as a camera sees it: hollow where the things, of which it sees the depth, hide it."""
+    (place,) = on_picture(eye, end[None])
+    hidden = eye.to_camera(end[None])[0, 2] > depth[round(place[1]), round(place[0])] + 0.006
+    label(axes, name, at, colour, place)
+    axes.plot(
+        *place,
+        "o",
+        color=colour,
+        markerfacecolor="none" if hidden else colour,
+        markersize=7.5,
+        zorder=8,
+        markeredgewidth=1.8,
+    )
 
 
 def draw_refused(axes: Axes, camera: CameraView) -> None:
@@ -247,9 +287,9 @@ def draw_refused(axes: Axes, camera: CameraView) -> None:
         axes.annotate("", *ends, arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "color": "white", "lw": 4.0})
         axes.annotate("", *ends, arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "color": colour, "lw": 2.0})
         (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-        place = (0.4, 0.12) if up else (0.6, 0.92)
+        place = (0.28, 0.09) if up else (0.6, 0.92)
         label(axes, text, (left + place[0] * (right - left), high + place[1] * (low - high)), colour, ends.mean(axis=0))
-    axes.set_title(f"refused ({plan.status}): too wide", fontsize=TEXT_PT)
+    axes.set_title("refused: too wide for the hand", fontsize=TEXT_PT)
 
 
 def draw_grasps() -> None:
@@ -258,22 +298,23 @@ def draw_grasps() -> None:
     figure = new_figure(PAGE_INCH, 2.75)
     upright, tilted, refused = figure.subplots(1, 3)
     carton = [box(YELLOW, (0.06, 0.12, 0.2), (0.0, 0.0, 0.0), 0.3)]
-    draw_taken(upright, carton, camera, plan_on(carton, camera)[2].grasps[0], around_deg=15.0)
+    draw_taken(upright, carton, camera, plan_on(carton, camera)[2].grasps[0], around_deg=-25.0)
     upright.set_title("taken from straight above", fontsize=TEXT_PT)
     bottle = [turned(GREEN, BOTTLE, (0.0, 0.0, 0.0))]
     grasp = plan_on(bottle, camera)[2].grasps[0]
     assert grasp.way is not None  # noqa: S101
     tilt = np.degrees(np.arccos(-(camera.R_world_camera @ grasp.way.approach)[2]))
-    draw_taken(tilted, bottle, camera, grasp, around_deg=70.0)
+    draw_taken(tilted, bottle, camera, grasp, around_deg=-25.0)
     tilted.set_title(f"taken with the hand tilted by {tilt:.0f}°", fontsize=TEXT_PT)
     draw_refused(refused, camera)
     save_photo(figure, FOLDER / "grasps.png")
 
 
-def touched_figure() -> DrawnGrasp:
+def touched_figure(model: str) -> DrawnGrasp:
     """Return the grasp of the demo's figure that `examples/draw_touch.py` draws: predicted before and after two touches, and read."""
     example = run_path(str(FOLDER.parent / "examples" / "draw_touch.py"))
-    drawn: list[DrawnGrasp] = example["grasps_to_draw"](load_scene(FOLDER.parent / "config" / "scenes" / "demo.yaml"))
+    demo = load_scene(FOLDER.parent / "config" / "scenes" / "demo.yaml")
+    drawn: list[DrawnGrasp] = example["grasps_to_draw"](demo, model)
     return drawn[-1]
 
 
@@ -282,23 +323,15 @@ def draw_figure_seen(axes: Axes, drawn: DrawnGrasp) -> None:
     assert drawn.target is not None  # noqa: S101
     assert drawn.scene is not None  # noqa: S101
     grasp = replace(drawn.prediction.grasp, way=None)
-    draw_camera(axes, drawn.scene, {"": area_of(drawn.target, drawn.scene)}, grasp=grasp, around=0.8)
-    for text in axes.texts:
-        text.set_visible(False)
-    contacts = pixels_of(drawn.scene, np.stack([grasp.g1, grasp.g2]))
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    names = (("thumb", FINGER_COLOURS[0], contacts[0], 0.1), ("middle finger", FINGER_COLOURS[1], contacts[1], 0.9))
-    for name, colour, place, height in names:
-        label(axes, name, (left + 0.25 * (right - left), top + height * (bottom - top)), colour, place)
-    middle = np.add(contacts.mean(axis=0), (0.1 * (right - left), 0.0))
-    label(axes, "object", (left + 0.82 * (right - left), top + 0.62 * (bottom - top)), "#b35900", middle)
+    areas = {"object": area_of(drawn.target, drawn.scene)}
+    draw_camera(axes, drawn.scene, areas, grasp=grasp, around=0.5, fingers=("thumb", "middle finger"))
 
 
 def draw_skills(axes: Axes) -> None:
     """Draw the skill of the thumb's electrodes on real objects left out, after touches of them (docs/results/unseen_object)."""
     with (FOLDER / "results" / "unseen_object" / "results.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["object"] == "all" and row["modality"] == "E_TH"]
-    drawn = (("contact", "the model", (5.6, 0.1), 1, FINGER_COLOURS[0], "o-"), ("training_mean", "the mean of the training", (5.6, 0.86), -1, INK, "s--"))  # fmt: skip
+    drawn = (("contact", "the model", (6.6, 0.1), 2, OBJECT_COLOURS[4], "o-"), ("training_mean", "the mean of the training", (6.2, 0.85), 2, INK, "s--"))  # fmt: skip
     for name, text, place, which, colour, style in drawn:
         own = sorted((row for row in rows if row["predictor"] == name), key=lambda row: int(row["touches"]))
         touches, skill, low, high = (
@@ -306,21 +339,18 @@ def draw_skills(axes: Axes) -> None:
         )
         axes.plot(touches, skill, style, color=colour, markersize=5)
         label(axes, text, place, colour, (touches[which], skill[which]))
-        axes.fill_between(touches, low, high, color=colour, alpha=0.12, linewidth=0.0)
+        axes.fill_between(touches, low, high, color=colour, alpha=0.15, linewidth=0.0)
     axes.axhline(0.0, color=FAINT, linewidth=1.0)
     axes.set(xticks=(0, 1, 3, 5, 10), ylim=(-0.1, 1.0))
     axes.set_xlabel("touches of the object before the prediction", fontsize=SMALL_PT)
     axes.set_ylabel("skill (1: perfect, 0: the mean)", fontsize=SMALL_PT)
-    axes.set_title(
-        "eight real objects that the model does not know:\nskill after touches of the object (bands: 95 %)",
-        fontsize=TEXT_PT,
-    )
+    axes.set_title("eight real objects, new to the model\n(bands: 95 % intervals)", fontsize=TEXT_PT)
     axes.tick_params(labelsize=SMALL_PT)
 
 
 def draw_adaptation() -> None:
-    """Draw how the skill rises with touches of objects that the model never saw, and one simulated grasp before and after two."""
-    grasp = touched_figure()
+    """Draw how the skill rises with touches of objects that the model never saw, and one grasp by a hand that it never saw, before and after two."""
+    grasp = touched_figure("contact-v3")
     assert grasp.read is not None  # noqa: S101
     assert grasp.earlier is not None  # noqa: S101
     view = TaxelView(BIOTAC_SP)
@@ -332,24 +362,27 @@ def draw_adaptation() -> None:
     left, right = figure.subfigures(1, 2, width_ratios=(1.0, 1.35))
     seen, skills = left.subplots(2, 1, height_ratios=(1.0, 1.25))
     draw_figure_seen(seen, grasp)
-    seen.set_title("one grasp of a new object (simulated)", fontsize=TEXT_PT)
+    seen.set_title("a grasp of a new object by a hand that is\nnew to the model (simulated)", fontsize=TEXT_PT)
     draw_skills(skills)
     grid = right.subplots(2, 3)
-    right.suptitle("this grasp, predicted twice and then read by the hand", fontsize=TEXT_PT)
-    columns = ("predicted,\nno touch yet", "predicted,\ntwo touches", "read")
+    right.suptitle("the same grasp: 48 electrodes of two fingertips", fontsize=TEXT_PT)
+    columns = ("predicted before\nthe first touch", "predicted after\ntwo touches", "read\nby the hand")
     for column, one, what in zip(grid.T, drawn, columns, strict=True):
         for k, panel in enumerate(column):
             scale.draw(panel, k, one[k][0], half=one[k][1])
             title_finger(panel, scale, k, "", what if k == 0 else "")
     scale.add_bar(right, list(grid.flat), shrink=0.9, aspect=35)
-    for name, prediction in (("before", grasp.earlier), ("after", grasp.prediction)):
-        print(name, f"{np.abs(prediction.value.values - grasp.read.values)[2:].mean():.0f} counts")  # noqa: T201
+    for panel, prediction in zip(grid[1], (grasp.earlier, grasp.prediction), strict=False):
+        error = np.abs(prediction.value.values - grasp.read.values)[2:].mean()
+        panel.text(
+            0.5, -0.02, f"error: {error:.0f} counts", transform=panel.transAxes, ha="center", va="top", fontsize=TEXT_PT
+        )
     save_photo(figure, FOLDER / "adaptation.png")
 
 
 def draw_intervals() -> None:
     """Draw the predicted electrodes of one finger as rings and as bars, and where they were read."""
-    grasp, finger = touched_figure(), 1
+    grasp, finger = touched_figure("simulated"), 1
     assert grasp.read is not None  # noqa: S101
     view = TaxelView(BIOTAC_SP)
     levels, half = finger_levels(view, grasp.prediction, grasp.rest, finger)
@@ -358,20 +391,21 @@ def draw_intervals() -> None:
     outside = np.abs(read - levels) > half
     scale = FingerScale(view, [levels, read], [half], tared=True)
     figure = new_figure(PAGE_INCH, 3.6)
-    seen, left, middle, right = figure.subplots(1, 4, width_ratios=(1.5, 1.0, 2.1, 1.0))
+    seen, left, right, middle = figure.subplots(1, 4, width_ratios=(1.4, 1.0, 1.0, 2.0))
     draw_figure_seen(seen, grasp)
     seen.set_title("the grasp (simulated)", fontsize=TEXT_PT)
     most = int(np.argmax(levels))
     for axes, what, shown, rings, crossed in (
         (left, "predicted", levels, half, None),
-        (right, "read by the hand", read, None, outside),
+        (right, "read", read, None, outside),
     ):
         scale.draw(axes, finger, shown, half=rings, outside=crossed)
         title_finger(axes, scale, finger, "", what)
-        places = 1e3 * view.sensor.layout.unrolled
-        label(axes, f"electrode {most + 1}", (places[:, 0].mean(), places[:, 1].min() - 2.5), BARE, places[most])
+        x, y = 1e3 * view.sensor.layout.unrolled[most]
+        axes.text(x, y, str(most + 1), color="white", fontsize=SMALL_PT, fontweight="bold", ha="center", va="center")
     draw_bars(middle, levels, half, read, finger)
-    middle.set_ylabel(view.label(from_rest=True), fontsize=SMALL_PT)
+    middle.set_ylabel("change from rest [counts]", fontsize=SMALL_PT)
+    middle.set_title("the same 24 electrodes as bars", fontsize=TEXT_PT)
     scale.add_bar(figure, [seen, left, middle, right], shrink=0.6, aspect=45)
     print(f"{(~outside).sum()} of {len(levels)} inside")  # noqa: T201
     save_photo(figure, FOLDER / "intervals.png")
@@ -385,7 +419,9 @@ def draw_bars(axes: Axes, levels: Float64, half: Float64, read: Float64, finger:
     axes.bar(number, 2.0 * half, 0.55, levels - half, color=FAINT)
     axes.plot(number, levels, "_", color=colour, markersize=9, markeredgewidth=2.5)
     axes.plot(number[~outside], read[~outside], "o", color=INK, markersize=4.5)
-    axes.plot(number[outside], read[outside], "X", color=INK, markersize=7.5)
+    axes.plot(number[outside], read[outside], "o", color=INK, markersize=4.5)
+    axes.plot(number[outside], read[outside], "s", color=INK, fillstyle="none", markersize=10.0, markeredgewidth=1.5)
+    axes.axhline(0.0, color=INK, linewidth=0.6)
     low, high = axes.get_ylim()
     for text, tint, height, value in (
         ("90 % interval", BARE, 0.93, levels[most] + 0.85 * half[most]),
@@ -425,13 +461,13 @@ def draw_steps() -> None:
     draw_camera(depth, replace(cloud, rgb=None) if type(cloud) is Cloud else Cloud(cloud.xyz), {})
     areas = {one.id: scene.labels == int(one.id) for one in scene.objects}
     draw_camera(photo_of, cloud, areas, table=scene.outline)
-    draw_camera(best, cloud, {target.id: areas[target.id]}, grasp=grasp, around=0.9)
-    for axes in (depth, photo_of):
+    draw_camera(best, cloud, {target.id: areas[target.id]}, grasp=grasp)
+    for axes in (depth, photo_of, best):
         axes.set(xlim=(90, 550), ylim=(430, 80))
     for axes, title in (
-        (depth, "1  cloud: depth, shaded"),
-        (photo_of, "2  table and objects"),
-        (best, "3  best grasp, with a Shadow Hand"),
+        (depth, "1  the camera measures depth"),
+        (photo_of, "2  objects are found on the table"),
+        (best, "3  a grasp of object 1 is planned (pale: the hand)"),
     ):
         axes.set_title(title, fontsize=TEXT_PT)
     view, rest = TaxelView(BIOTAC_SP), model.rest
@@ -444,41 +480,60 @@ def draw_steps() -> None:
         scale.draw(axes, k, levels, half=half)
         title_finger(axes, scale, k, view.scalars(k, prediction.value, prediction))
     scale.add_bar(touch, fingers, shrink=0.8, aspect=30)
-    touch.suptitle(f"4  predicted touch ({', '.join(prediction.flags) or 'familiar'})", fontsize=TEXT_PT)
+    touch.suptitle("4  what both fingertips would read is predicted", fontsize=TEXT_PT)
     save_photo(figure, FOLDER / "steps.png")
 
 
 def draw_frames() -> None:
     """Draw the camera's optical frame, and the frame of the hand at a grasp."""
     things, camera = table_of_four()
-    pipeline = Pipeline()
+    things = things[:3]
+    pipeline = Pipeline(PipelineConfig().updated({"hand.name": HAND}))
     grasp = pipeline.plan(pipeline.segment(Stage(things).photograph(camera).cloud(NOISE_M)).targets[0]).grasps[0]
     body = box((0.2, 0.2, 0.22), (0.12, 0.03, 0.03), camera.eye - [0.0, 0.0, 0.015])
-    eye = looking((1.0, -1.15, 0.75), (0.05, -0.1, 0.36), 760, 640, 44.0)
-    figure = new_figure(5.0, 4.2)
-    axes = figure.subplots()
-    axes.imshow(Stage([body, *things]).look(eye))
-    hand = camera.R_world_camera @ grasp.rotation
-    triad(axes, eye, camera.eye, camera.R_world_camera, "xyz", "camera's optical frame")
-    triad(axes, eye, camera.to_world(grasp.midpoint[None])[0], hand, "XYZ", "frame of the hand")
-    for point, colour in zip((grasp.g1, grasp.g2), FINGER_COLOURS, strict=False):
-        axes.plot(
-            *on_picture(eye, camera.to_world(point[None])).T, "o", color=colour, markeredgecolor="white", markersize=6
-        )
-    axes.set(xticks=[], yticks=[])
+    frame, stage = frame_in_world(grasp, camera), Stage([body, *things], hand=True)
+    middle, across, into = frame[:3, 3], frame[:3, 0], frame[:3, 2]
+    far = looking((1.0, -1.15, 0.75), (-0.22, -0.06, 0.42), 640, 640, 46.0)
+    aside = np.cross([0.0, 0.0, 1.0], across)
+    aside *= np.sign(aside @ into) or 1.0
+    near = looking(middle + 0.45 * aside - 0.1 * across + [0.0, 0.0, 0.22], middle, 640, 640, 40.0)
+    figure = new_figure(PAGE_INCH, 4.2)
+    left, right = figure.subplots(1, 2)
+    depth = stage.photograph(near).depth
+    stage.place_hand(frame, grasp.width_m)
+    for axes, eye, title in (
+        (left, far, "the camera's optical frame"),
+        (right, near, "the frame of the hand at a grasp"),
+    ):
+        axes.imshow(stage.look(eye))
+        axes.set_title(title, fontsize=TEXT_PT)
+        axes.set(xticks=[], yticks=[], xlim=(0, 640), ylim=(640, 0))
+    meanings = ("x: right in the image", "y: down in the image", "z: depth")
+    triad(left, far, camera.eye, camera.R_world_camera, meanings, 0.22)
+    rotation = camera.R_world_camera @ grasp.rotation
+    triad(right, near, middle, rotation, ("X", "Y", "Z: g2 to g1"), 0.1)
+    ends = camera.to_world(np.stack([grasp.g1, grasp.g2]))
+    right.plot(*on_picture(near, ends).T, "--", color=INK, linewidth=1.5)
+    for number, end, name, colour, at in zip(
+        ("g1", "g2"), ends, finger_names(grasp), FINGER_COLOURS, (150, 490), strict=False
+    ):
+        draw_contact(right, near, depth, end, f"{number}: {name}", (at, 560), colour)
     save_photo(figure, FOLDER / "frames.png")
 
 
-def triad(axes: Axes, eye: CameraView, origin: Float64, rotation: Float64, letters: str, name: str) -> None:
-    """Draw the three axes of a frame of the world, 0.17 m long, as a camera sees them."""
+def triad(
+    axes: Axes, eye: CameraView, origin: Float64, rotation: Float64, names: Sequence[str], length_m: float
+) -> None:
+    """Draw the three axes of a frame of the world as a camera sees them."""
     start = on_picture(eye, origin[None])[0]
-    for direction, colour, letter in zip(rotation.T, AXES, letters, strict=True):
-        end, beyond = on_picture(eye, origin + np.outer([0.17, 0.2], direction))
+    for direction, colour, name in zip(rotation.T, AXES, names, strict=True):
+        (end,) = on_picture(eye, origin + length_m * direction[None])
+        beyond = end + [90.0, 40.0] * (end - start) / np.linalg.norm(end - start)
+        beyond[0] = np.clip(beyond[0], 9.0 * len(name), 640.0 - 9.0 * len(name))
         axes.annotate(
             "", end, start, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.4, "shrinkA": 0, "shrinkB": 0}
         )
-        axes.text(*beyond, letter, color=colour, fontsize=TEXT_PT + 2, fontweight="bold", ha="center", va="center")
-    label(axes, name, (start[0] + 20, start[1] - 60), INK)
+        label(axes, name, beyond, colour)
 
 
 def draw_recorded() -> None:
@@ -507,6 +562,7 @@ def draw_hands() -> None:
     can = turned(YELLOW, profile, (0.0, 0.0, 0.0), lying=0.6)
     camera = CameraView.towards_table(640, 480, 0.75, np.radians(20.0))
     figure = new_figure(PAGE_INCH, 3.0)
+    figure.suptitle("one can, taken by three hands (the boxes that describe them)", fontsize=TEXT_PT)
     for axes, (name, title) in zip(figure.subplots(1, 3), HANDS.items(), strict=True):
         grasp = plan_on([can], camera, name)[2].grasps[0]
         draw_hand_boxes(axes, grasp, can, camera)
@@ -522,11 +578,12 @@ def draw_hand_boxes(axes: Axes, grasp: Grasp, thing: Thing, camera: CameraView) 
     aside = np.cross(across, [0.0, 0.0, 1.0])
     eye = looking(middle + 0.55 * aside + 0.18 * across + [0.0, 0.0, 0.18], (*middle[:2], 0.075), 640, 640, 36.0)
     axes.imshow(Stage([thing, *shapes]).look(eye))
-    ends = on_picture(eye, middle + np.outer([0.5, -0.5], across * grasp.width_m))
+    depth = Stage([thing]).photograph(eye).depth
+    ends = middle + np.outer([0.5, -0.5], across * grasp.width_m)
     named = ("thumb", "middle finger") if grasp.way and grasp.way.joints else ("finger at g1", "finger at g2")
-    for place, text, colour in zip(ends, named, FINGER_COLOURS, strict=False):
-        axes.plot(*place, "o", color=colour, markeredgecolor="white", markersize=7.5)
-        label(axes, text, (125 if place[0] < 320 else 515, 530), colour, place)
+    for end, text, colour in zip(ends, named, FINGER_COLOURS, strict=False):
+        left = on_picture(eye, end[None])[0, 0] < 320
+        draw_contact(axes, eye, depth, end, text, (125 if left else 515, 530), colour)
     label(axes, "object", (320, 605), BARE, on_picture(eye, middle[None])[0])
     nearest = min(parts["palm"], key=lambda box: float(np.linalg.norm(box.mean(axis=0) - middle)))
     label(axes, "palm", (110, 45), BARE, on_picture(eye, nearest.mean(axis=0)[None])[0])

@@ -38,7 +38,8 @@ from foretouch_lab.simulation.world import SampleKey
 FOLDER: Final = Path(__file__).parent
 RUNS: Final = 20
 COLOURS: Final = ((0.78, 0.22, 0.18), (0.2, 0.45, 0.7), (0.88, 0.66, 0.2), (0.36, 0.6, 0.36))  # the can first
-SEEN: Final = (380, 285)  # how much of the camera's image is shown [px]
+APART_M: Final = (0.25, 0.3)  # of the other objects, so that no finger reaches them
+SEEN: Final = (500, 375)  # how much of the camera's image is shown [px]
 DPI: Final = 144
 QUALITY: Final = 80  # of the images
 
@@ -67,7 +68,13 @@ class Run:
 def demo_run(seed: int) -> Run:
     """Return the grasp of a seed, predicted by the model `simulated` from the cloud and a tare."""
     demo = load_scene(FOLDER.parent / "config" / "scenes" / "demo.yaml")
-    changes = {"campaign.objects": 1, "campaign.grasps": 1, "clutter.count": 3, "seed": seed}
+    changes = {
+        "campaign.objects": 1,
+        "campaign.grasps": 1,
+        "clutter.count": 3,
+        "clutter.distance_m": APART_M,
+        "seed": seed,
+    }
     of_can = replace(demo.updated(changes), objects=demo.objects[:1])
     samples = list(Simulation(of_can).samples(1))
     played = replay_model(load_model("simulated"), samples).played
@@ -110,23 +117,23 @@ class MovingPicture:
         self._lay_out()
 
     def _eye(self) -> CameraView:
-        """Return the camera of the 3D view: from the side of the closing line that the arm is not on."""
+        """Return the camera of the 3D view: below the wrist, so that both fingertips are seen."""
         middle, across = self.frame_of_grasp[:3, 3], self.frame_of_grasp[:3, 0] * (1.0, 1.0, 0.0)
         across /= np.linalg.norm(across)
         arm = -(self.frame_of_grasp @ self.stage.hand.at(self.run.sample.grasp.width_m).tool)[:3, 2] * (1.0, 1.0, 0.0)
         ahead = np.cross([0.0, 0.0, 1.0], across)
         ahead *= -np.sign(ahead @ arm) or 1.0
-        place = middle + 0.5 * ahead + 0.16 * across + (0.0, 0.0, 0.3)
-        return looking(place, middle + np.array([0.0, 0.0, 0.05]), 754, 486, 50.0)
+        place = middle - 0.4 * ahead - 0.08 * across + (0.0, 0.0, 0.22)
+        return looking(place, middle + np.array([0.0, 0.0, 0.03]), 754, 486, 50.0)
 
     def _lay_out(self) -> None:
-        self.figure = new_figure(PAGE_INCH, 5.9)
+        self.figure = new_figure(PAGE_INCH, 6.2)
         self.figure.set_layout_engine("none")
-        self.image = self.figure.add_axes((0.008, 0.455, 0.45, 0.44))
-        self.space = self.figure.add_axes((0.468, 0.455, 0.524, 0.44), xticks=[], yticks=[])
+        self.image = self.figure.add_axes((0.008, 0.48, 0.45, 0.42))
+        self.space = self.figure.add_axes((0.468, 0.48, 0.524, 0.42), xticks=[], yticks=[])
         self.text = self.figure.text(0.5, 0.965, "", ha="center", va="center", fontsize=12, color=INK)
-        self.fingers = [self.figure.add_axes((0.01 + 0.25 * k, 0.115, 0.23, 0.25)) for k in range(4)]
-        self.scale_at = self.figure.add_axes((0.3, 0.083, 0.4, 0.015))
+        self.fingers = [self.figure.add_axes((0.01 + 0.25 * k, 0.16, 0.23, 0.235)) for k in range(4)]
+        self.scale_at = self.figure.add_axes((0.3, 0.128, 0.4, 0.015))
         for axes in (*self.fingers, self.scale_at):
             axes.set_axis_off()
         sight = TaxelView(BIOTAC_SP)
@@ -137,7 +144,7 @@ class MovingPicture:
         self.scale = FingerScale(sight, levels, [half for _, half in predicted if half is not None], tared=True)
         self.drawn = predicted, read
         for k, axes in enumerate(self.fingers):
-            self.scale.draw_skin(axes, k // 2)
+            self.scale.draw(axes, k // 2, np.full(sight.sensor.size, np.nan))  # no values yet
             title_finger(axes, self.scale, k // 2, "", ("predicted", "read")[k % 2])
 
     def draw_image(self, *, objects: bool, grasp: bool = False) -> None:
@@ -147,7 +154,7 @@ class MovingPicture:
         ordered = [target, *(item for item in self.scene.objects if item is not target)]
         areas = {item.id: self.scene.labels == int(item.id) for item in ordered} if objects else {}
         contacts = replace(self.run.sample.grasp, way=None, object_id=target.id) if grasp else None
-        draw_camera(self.image, self.cloud, areas, grasp=contacts)
+        draw_camera(self.image, self.cloud, areas, grasp=contacts, fingers=self.scale.view.fingers)
         height, width = self.scene.labels.shape
         left, top = (width - SEEN[0]) / 2.0, (height - SEEN[1]) / 2.0
         self.image.set(xlim=(left, left + SEEN[0]), ylim=(top + SEEN[1], top))
@@ -159,7 +166,7 @@ class MovingPicture:
         self.space.clear()
         self.space.imshow(self.stage.look(self.eye))
         self.space.set(xticks=[], yticks=[])
-        self.space.set_title("table and Shadow Hand, simulated", fontsize=TEXT_PT)
+        self.space.set_title("the simulated hand", fontsize=TEXT_PT)
 
     def draw_fingers(self, read: int) -> None:
         """Draw both fingertips, predicted or read: of each finger beside each other."""
@@ -182,7 +189,7 @@ class MovingPicture:
         self.draw_image(objects=True, grasp=True)
         yield self.shot("… plans a grasp, …"), 1400
         self.draw_fingers(0)
-        yield self.shot("… and predicts what the fingertips will read, before anything moves."), 3000
+        yield self.shot("… and predicts what 24 electrodes of each fingertip will read."), 3000
         for step in range(10):
             self.draw_space(away_m=0.16 * (1.0 - (step + 1) / 10.0) ** 1.3)
             yield self.shot("Then the hand comes …"), 90
@@ -191,7 +198,7 @@ class MovingPicture:
             yield self.shot("… and closes."), 110
         self.draw_fingers(1)
         inside = int((~self.run.missed[2:]).sum())
-        yield self.shot(f"{inside} of 48 electrodes read what was predicted, within their 90 % intervals."), 5000
+        yield self.shot(f"{inside} of 48 electrodes were read within their predicted 90 % intervals."), 5000
 
     def shot(self, text: str) -> Image.Image:
         """Return the picture as it is, below a line of text."""

@@ -71,6 +71,9 @@ def _draw_chain(axes: Axes, rows: Rows) -> None:
     for name, colour in zip(_LINES, _COLOURS, strict=True):
         heights = [np.nan if row is None else row[name] for row in best]
         axes.plot(times, heights, color=colour, linewidth=2)
+    first = next(time for time, row in zip(times, best, strict=True) if row is not None)
+    axes.axvspan(0.1, first, color=FAINT, alpha=0.25, linewidth=0.0)
+    axes.text(3.0, 0.5, f"no answer\nbefore {first:.0f} ms", ha="left", va="center", fontsize=SMALL_PT)
     for budget in BUDGETS_MS:
         row = best_within(rows, budget)
         axes.axvline(budget, color=FAINT, linewidth=0.8)
@@ -82,6 +85,7 @@ def _draw_chain(axes: Axes, rows: Rows) -> None:
     for k, (label, colour) in enumerate(zip(_LINES.values(), _COLOURS, strict=True)):
         axes.text(0.0, 1.18 - 0.08 * k, label, color=colour, va="bottom", fontsize=SMALL_PT, transform=axes.transAxes)
     axes.set_ylim(0.0, 1.04)
+    axes.set_ylabel("share, with the best settings for the time", fontsize=SMALL_PT)
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
     axes.set_title("From a depth image to predicted touch\n\n\n\n\n", fontsize=TEXT_PT)
     _scale(axes, 0.6)
@@ -97,13 +101,14 @@ def _draw_grasps(axes: Axes, rows: Rows) -> None:
         axes.text(
             budget,
             1.06,
-            f"{budget:g} ms\n{count:,}\ngrasps" if count else f"{budget:g} ms\nnone",
+            f"{budget:g} ms\n{count:,}" if count else f"{budget:g} ms\nnone",
             ha="center",
             va="bottom",
             fontsize=SMALL_PT,
             transform=axes.get_xaxis_transform(),
         )
     axes.set_yscale("log")
+    axes.set_ylabel("grasps on one object", fontsize=SMALL_PT)
     axes.set_ylim(0.8, 3000.0)
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
     axes.set_title("Touch of many grasps on one object\n\n\n\n\n", fontsize=TEXT_PT)

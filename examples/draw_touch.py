@@ -9,8 +9,6 @@ from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
-from PIL import Image
-
 from foretouch import History, Sample, TouchModel, load_model
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
@@ -21,7 +19,6 @@ from foretouch_lab.simulation.simulate import Simulation
 ROOT = Path(__file__).parents[1]
 TOUCHES = 2  # before the grasp that is drawn
 SAMPLES = 10  # of the scene
-COLOURS = 256
 
 
 def grasp_before_and_after(model: TouchModel, samples: list[Sample], frames: FrameMaker) -> DrawnGrasp:
@@ -46,9 +43,9 @@ def grasp_before_and_after(model: TouchModel, samples: list[Sample], frames: Fra
     )
 
 
-def grasps_to_draw(scene: SceneConfig) -> list[DrawnGrasp]:
-    """Predict a grasp of each object of a scene before and after the touches, by the model of the simulated hand."""
-    model = load_model("simulated")
+def grasps_to_draw(scene: SceneConfig, name: str = "simulated") -> list[DrawnGrasp]:
+    """Predict a grasp of each object of a scene before and after the touches, by a model: that of the simulated hand."""
+    model = load_model(name)
     frames, samples = FrameMaker(scene), list(Simulation(scene).samples(SAMPLES, workers=1))
     visits = [list(visit) for _, visit in groupby(samples, key=lambda sample: sample.object)]
     return [grasp_before_and_after(model, visit[: TOUCHES + 1], frames) for visit in visits if len(visit) > TOUCHES]
@@ -56,9 +53,7 @@ def grasps_to_draw(scene: SceneConfig) -> list[DrawnGrasp]:
 
 def main(scene_path: str = str(ROOT / "config" / "scenes" / "demo.yaml"), picture: str = "touch.png") -> None:
     """Draw the picture."""
-    path = save_touch_picture(picture, grasps_to_draw(load_scene(scene_path)))
-    Image.open(path).convert("RGB").quantize(COLOURS).save(path, optimize=True)  # a third of the size
-    print(path)
+    print(save_touch_picture(picture, grasps_to_draw(load_scene(scene_path))))
 
 
 if __name__ == "__main__":

@@ -19,12 +19,14 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -199,8 +201,8 @@ def draw(rows: Sequence[Row], path: Path) -> Path:
     restart = tuple(_hours(pause))
     titles = (
         f"electrode {ELECTRODE} of the middle finger: predicted (line, band: 90 % interval), then read (dots)",
-        "estimated level of the sensor: kept over objects and the restart; dashed: the simulated drift, shifted to it",
-        "estimated part of the object: begins again with each object, and is kept over the restart",
+        "estimated level of the sensor, kept from object to object; dashed: its true drift, which lies in the band",
+        "estimated part of the object: begins at 0 with each new object (vertical lines), and is kept over the restart",
     )
     for axes, title, kind, colour in zip(
         grid, titles, ("prediction", "state", "object"), (FINGER_COLOURS[1], FINGER_COLOURS[3], FINGER_COLOURS[2]), strict=True
@@ -208,7 +210,7 @@ def draw(rows: Sequence[Row], path: Path) -> Path:
         _draw_visits(axes, predictions, named=axes is grid[0])
         axes.axvspan(*restart, color=FAINT)
         for later in (False, True):
-            part = [row for row in _of(rows, kind) if (row["second"] > pause[0]) == later]
+            part = [row for row in _begun(rows, kind) if (row["second"] > pause[0]) == later]
             _draw_band(axes, part, colour, stepped=kind != "prediction")
         axes.set_title(title, loc="left", fontsize=TEXT_PT, pad=16 if axes is grid[0] else 5)
         axes.set_ylabel("counts", fontsize=SMALL_PT)
@@ -219,7 +221,7 @@ def draw(rows: Sequence[Row], path: Path) -> Path:
     level = float(np.mean(_xy(_of(rows, "state"))[1][3:]))
     grid[1].plot(_hours(seconds), np.array(counts) + level, "--", color=INK, linewidth=1.2)
     style = {"rotation": 90, "ha": "center", "va": "center", "fontsize": TEXT_PT, "color": INK}
-    grid[0].text(sum(restart) / 2.0, 0.5, "graph restarted", transform=grid[0].get_xaxis_transform(), **style)
+    grid[0].text(sum(restart) / 2.0, 0.5, "software restarted", transform=grid[0].get_xaxis_transform(), **style)
     grid[-1].set_xlabel("time of the simulated day [h]", fontsize=SMALL_PT)
     grid[0].set_xlim(0.0, _hours(max(row["second"] for row in predictions)))
     return save_small(figure, path)
@@ -227,6 +229,19 @@ def draw(rows: Sequence[Row], path: Path) -> Path:
 
 def _of(rows: Sequence[Row], kind: str) -> list[Row]:
     return [row for row in rows if row["kind"] == kind]
+
+
+def _begun(rows: Sequence[Row], kind: str) -> list[Row]:
+    """Return the rows of a kind; the part of an object begins with each visit as it began before the first reading of the day."""
+    own, predictions = _of(rows, kind), _of(rows, "prediction")
+    if kind != "object":
+        return own
+    for visit in sorted({row["visit"] for row in predictions})[1:]:
+        start = min(row["second"] for row in predictions if row["visit"] == visit)
+        touched = [row for row in predictions if row["visit"] == visit and row["touches"]]
+        first = min((row["second"] for row in touched), default=math.inf)
+        own = [row for row in own if not start <= row["second"] < first] + [{**own[0], "second": start}]
+    return sorted(own, key=itemgetter("second"))
 
 
 def _xy(rows: Sequence[Row]) -> tuple[list[float], list[float]]:

@@ -267,7 +267,7 @@ def test_the_drawing_has_what_is_given(scene, tmp_path):
     whole = ft.draw(scene, grasps, touch, path=tmp_path / "a.png", number=1)
     assert (tmp_path / "a.png").stat().st_size > 10_000
     image, above, side, *fingers, scale = whole.axes
-    assert {text.get_text() for text in image.texts} == {"1", "2", "3", "4"}
+    assert {text.get_text() for text in image.texts} == {"1", "2", "3", "4", "g1", "g2"}
     corners = image.patches[0].get_xy()  # of the table, in pixels: all around the objects
     rows, columns = np.nonzero(scene.labels)
     assert (corners.min(axis=0) < (columns.min(), rows.min())).all()

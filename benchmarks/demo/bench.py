@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from benchmarks.common import ROOT, print_rows, scene, write_csv
 from examples.draw_touch import grasps_to_draw
@@ -65,8 +64,6 @@ def draw(runs: Sequence[ModelReplay], path: Path) -> None:
     total = [np.mean([inside(run, name, touches)[1] for name in OBJECTS for touches in DRAWN]) for run in runs]
     seed = int(np.argsort(total, kind="stable")[(len(runs) - 1) // 2])
     save_touch_picture(path, grasps_to_draw(scene("demo").replace(seed=seed)))
-    with Image.open(path) as image:
-        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
     print(f"{path}: seed {seed}, {total[seed]:.3f} inside")
 
 

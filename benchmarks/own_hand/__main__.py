@@ -27,9 +27,9 @@ COUNTS: Final = (0, 5, 10, 20, 30, 100)
 RECORDED, TESTED, RUN = max(COUNTS), 60, 5
 WAYS: Final = ("tracker", "where", "fitted")
 STYLES: Final = {
-    "tracker": {"label": "the released model and the history", "color": INK, "marker": "s", "linestyle": "--"},
-    "where": {"label": "and where it was touched alike", "color": FINGER_COLOURS[3], "marker": "^", "linestyle": "-."},
-    "fitted": {"label": "a model fitted to them", "color": FINGER_COLOURS[1], "marker": "o", "linestyle": "-"},
+    "tracker": {"label": "the released model, moved by the readings", "color": INK, "marker": "s", "linestyle": "--"},
+    "where": {"label": "the same, by readings of like grasps", "color": FINGER_COLOURS[3], "marker": "^", "linestyle": "-."},
+    "fitted": {"label": "a model fitted to these grasps", "color": FINGER_COLOURS[1], "marker": "o", "linestyle": "-"},
 }  # fmt: skip
 MINUTE_NS: Final = 60 * 10**9
 OFFSET: Final = {"BioTac SP": 150.0, "uSkin": 1000.0}  # standard deviation of the rest level of each value [counts]
@@ -187,18 +187,18 @@ def draw(path: Path) -> None:
                         if (row["hand"], row["way"], int(row["grasps"])) == (hand, way, count) and row[what]
                     ]  # fmt: skip
                     if values:
-                        points.append((place + 0.16 * (shift - 1), *interval(values)))
+                        points.append((place + 0.22 * (shift - 1), *interval(values)))
                 axes.errorbar(*np.transpose(points), capsize=3, markersize=5, **style)
             axes.set_xticks(range(len(COUNTS)), [str(count) for count in COUNTS])
             axes.tick_params(labelsize=SMALL_PT)
             axes.axhline({"skill": 0.0, "coverage": 0.9}[what], color=INK, linestyle=":", linewidth=1.0, zorder=0)
         panels[0, column].set_title(f"a new hand with {hand}", fontsize=TEXT_PT)
-        panels[1, column].set_xlabel("recorded grasps of this hand", fontsize=SMALL_PT)
-    panels[0, 0].set_ylabel("skill (1: perfect, 0: the mean)", fontsize=SMALL_PT)
+        panels[1, column].set_xlabel("recorded grasps of this hand (bars: 95 % over three hands)", fontsize=SMALL_PT)
+    panels[0, 0].set_ylabel("skill (1: perfect, 0: the mean;\ncompressed below −1)", fontsize=SMALL_PT)
     panels[0, 0].set_yscale("symlog", linthresh=1.0)
     panels[0, 0].set_yticks([-10.0, -3.0, -1.0, 0.0, 1.0], ["−10", "−3", "−1", "0", "1"])
-    panels[0, 0].set_ylim(-30.0, 1.0)  # the bars of three hands end beyond what a skill or a share can be
-    panels[1, 0].set_ylim(0.0, 1.0)
+    panels[0, 0].set_ylim(-30.0, 1.1)  # the bars of three hands end beyond what a skill or a share can be
+    panels[1, 0].set_ylim(0.4, 1.02)
     panels[1, 0].set_ylabel("share read inside 90 % intervals", fontsize=SMALL_PT)
     figure.legend(
         *panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=SMALL_PT, frameon=False

@@ -61,7 +61,8 @@ def test_all_electrodes_have_one_scale_and_equal_touches_equal_colours(sample, t
     assert len(dots) == 8
     drops = [tare["E_TH"] - prediction.value["E_TH"], tare["E_MF"] - prediction.value["E_MF"]]
     np.testing.assert_array_equal(dots[0].get_array(), drops[0])  # from rest, within the limits of the page
-    assert {dot.get_clim() for dot in dots} == {(np.min(drops), np.max(drops) + 500.0)}
+    most = np.percentile(np.abs([drops, drops, np.add(drops, 500.0), drops]), 98.0)
+    assert {dot.get_clim() for dot in dots} == {(-most, most)}  # at rest is the middle of the colours
     np.testing.assert_array_equal(dots[0].get_array(), dots[1].get_array())  # predicted and read of the thumb
     np.testing.assert_allclose(dots[5].get_array() - dots[4].get_array(), 500.0)
 
@@ -92,7 +93,7 @@ def test_a_sentence_states_the_agreement_and_an_interval_changes_predicted_press
     assert (plain != marked).any()  # by the rings of the electrodes
 
 
-def test_electrodes_that_were_read_outside_of_their_intervals_have_a_cross(sample, tmp_path, monkeypatch) -> None:
+def test_electrodes_that_were_read_outside_of_their_intervals_have_a_square(sample, tmp_path, monkeypatch) -> None:
     target, prediction, tare = sample
     drawn: list[Figure] = []
     monkeypatch.setattr("foretouch.report.touch_figure.save", lambda figure, path, dpi: drawn.append(figure) or path)
@@ -104,9 +105,9 @@ def test_electrodes_that_were_read_outside_of_their_intervals_have_a_cross(sampl
     bounded = Prediction.of(prediction.grasp, prediction.value, low, high)
     without = DrawnGrasp(prediction=bounded, read=biotac_touch(shifted), rest=tare)  # no object to draw
     save_touch_picture(tmp_path / "a.png", [without, replace(without, target=target)])
-    crosses = [line.get_xydata() for axes in drawn[0].axes for line in axes.lines if line.get_marker() == "X"]
+    squares = [line.get_xydata() for axes in drawn[0].axes for line in axes.lines if len(line.get_xydata()) == 5]
     places = 1e3 * BIOTAC_SP.layout.unrolled
-    np.testing.assert_allclose(np.concatenate(crosses), places[[9, 14, 9, 14]])
+    np.testing.assert_allclose(np.mean([square[:4] for square in squares], axis=1), places[[9, 14, 9, 14]])
 
 
 def test_the_rings_are_as_wide_as_the_intervals(sample, tmp_path, monkeypatch) -> None:
@@ -131,12 +132,10 @@ def test_a_grasp_is_compared_with_its_own_reading_before_and_after(sample, tmp_p
     save_touch_picture(tmp_path / "a.png", [one])
     texts = _agreement(one, BIOTAC_SP).splitlines()
     assert texts == ["before the first touch: mean difference: E 40 counts", "after: mean difference: E 0 counts"]
-    first, after, read, *_ = (dots.get_array() for dots in dots_of(drawn[0]))
-    np.testing.assert_allclose(first - read, 40.0)
+    after, read, *_ = (dots.get_array() for dots in dots_of(drawn[0]))
     np.testing.assert_array_equal(after, read)
     heads = [text.get_text() for axes in drawn[0].axes for text in axes.texts if text.get_fontweight() == "bold"]
-    assert [head for head in heads if "finger" not in head and head != "thumb"] == [
-        "predicted before\nthe first touch", "predicted after\ntouches", "read"]  # fmt: skip
+    assert [head for head in heads if "finger" not in head and head != "thumb"] == ["predicted", "read"]
 
 
 def smallest_text(figure: Figure) -> float:
@@ -177,7 +176,8 @@ def test_a_sheet_has_one_scale_and_no_label_is_cut(tmp_path, monkeypatch) -> Non
     figure.canvas.draw()
     dots = dots_of(figure)
     assert len(dots) == 4
-    assert {dot.get_clim() for dot in dots} == {(1000.0, 3000.0)}
+    assert len({dot.get_clim() for dot in dots}) == 1
+    assert all(1000.0 <= end <= 3000.0 for end in dots[0].get_clim())
     drawn, page = figure.get_tightbbox(), figure.bbox_inches
     assert drawn.x0 >= 0.0 <= drawn.y0
     assert (drawn.x1 <= page.x1 + 1e-9, drawn.y1 <= page.y1 + 1e-9) == (True, True)
@@ -216,7 +216,7 @@ def test_a_sensor_of_any_layout_is_drawn_by_its_chosen_channel_and_dead_taxels_a
     change = (touch.values - rest.values)[sensor.taxel_columns[1, :, 2]]
     np.testing.assert_array_equal(taxels[2].get_array(), change)  # Z, from rest
     low, high = taxels[0].get_clim()
-    assert low == -high < 0.0 < change.max() <= high  # it may rise or fall
+    assert low == -high < 0.0 < high <= np.abs(change).max()  # it may rise or fall
     assert sorted(axes.get_title() for axes in drawn[0].axes[1:5]) == ["FF", "FF", "thumb", "thumb"]
     assert "change of Z from rest [counts]" in drawn[0].axes[-1].get_xlabel()
     assert "hollow: dead" in drawn[0].axes[-1].get_xlabel()

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from foretouch.report.hand_figure import draw_boxes, hand_boxes
+from foretouch.report.hand_figure import draw_boxes, finger_names, hand_boxes
 from foretouch.report.panels import FINGER_COLOURS, INK, OBJECT_COLOURS, TABLE, TEXT_PT, Axes
 from foretouch.types import Bool, Cloud, Float64, Grasp, UInt8
 from foretouch.types.scene import Object, Scene
@@ -25,10 +25,11 @@ def draw_camera(
     cloud: Cloud,
     areas: Mapping[str, Bool],
     *,
-    colours: Sequence[str] = OBJECT_COLOURS,
+    shown: Bool | None = None,
     table: Float64 | None = None,
     grasp: Grasp | None = None,
     around: float = 0.33,
+    fingers: Sequence[str] = (),
 ) -> None:
     """Draw the image of a camera with the outline and id of each object, and a grasp with its hand.
 
@@ -36,10 +37,11 @@ def draw_camera(
         axes: Where to draw.
         cloud: An organised cloud.
         areas: By id, (H, W) which pixels an object has.
-        colours: Of the outlines, in turn.
+        shown: (H, W) what is shown with its surroundings; None for all objects.
         table: (n, 3) corners of the table's outline [m].
         grasp: The grasp.
         around: How much is shown on each side of the objects, of their size.
+        fingers: What the fingers at g1 and g2 are called; empty for what the hand calls them.
     """
     axes.imshow(photograph(cloud))
     if table is not None and len(table):
@@ -48,25 +50,33 @@ def draw_camera(
     bare = ~np.isfinite(cloud.xyz[..., 2])
     taken = np.any(list(areas.values()), axis=0) if areas else np.zeros_like(bare)
     for k, inside in enumerate(areas.values()):
-        colour = colours[k % len(colours)]
+        colour = OBJECT_COLOURS[k % len(OBJECT_COLOURS)]
         whole = inside | (without_slits(inside) & bare & ~taken)
         for line in outlines_of(whole):
             axes.plot(*line.T, color="white", linewidth=3.2)
             axes.plot(*line.T, color=colour, linewidth=1.7)
     for k, (name, inside) in enumerate(areas.items()):
         if k < _LABELS and inside.any():
-            aside = grasp is not None and (len(areas) == 1 or grasp.object_id in ("", name))
-            _name(axes, name, inside, colours[k % len(colours)], aside=aside)
+            own = grasp is not None and (len(areas) == 1 or grasp.object_id in ("", name))
+            ends = pixels_of(cloud, np.stack([grasp.g1, grasp.g2])) if own and grasp is not None else None
+            _name(axes, name, inside, OBJECT_COLOURS[k % len(OBJECT_COLOURS)], ends)
     if grasp is not None:
-        _draw_grasp(axes, cloud, grasp)
-    left, right, top, bottom = window_of(taken, around)
+        _draw_grasp(axes, cloud, grasp, fingers or finger_names(grasp))
+    left, right, top, bottom = window_of(taken if shown is None else shown, around)
     axes.set(xlim=(left - 0.5, right - 0.5), ylim=(bottom - 0.5, top - 0.5), xticks=[], yticks=[], aspect="equal")
 
 
 def draw_scene_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
-    """Draw the image of a scene with its table and objects."""
+    """Draw the image of a scene with its table and objects; with a grasp only the surroundings of its object."""
     areas = {object_.id: scene.labels == int(object_.id) for object_ in scene.objects}
-    draw_camera(axes, scene.cloud, areas, table=scene.outline, grasp=grasp)
+    shown, around = shown_of(scene, grasp)
+    draw_camera(axes, scene.cloud, areas, shown=shown, table=scene.outline, grasp=grasp, around=around)
+
+
+def shown_of(scene: Scene, grasp: Grasp | None) -> tuple[Bool, float]:
+    """Return (H, W) what is shown of a scene, and how much around it, of its size: the object of a grasp, else all objects."""
+    own = None if grasp is None else next((one for one in scene.objects if one.id == grasp.object_id), None)
+    return (scene.labels > 0, 0.33) if own is None else (scene.labels == int(own.id), 0.8)
 
 
 def outlines_of(inside: Bool) -> list[Float64]:
@@ -158,23 +168,33 @@ def window_of(inside: Bool, around: float = 0.33) -> tuple[int, int, int, int]:
     return left, right, top, bottom
 
 
-def _name(axes: Axes, name: str, inside: Bool, colour: str, *, aside: bool) -> None:
-    """Write the id of an object on it; above it where a grasp is on it."""
-    rows, columns = np.nonzero(inside)
-    place, lift = (float(np.median(columns)), float(np.median(rows))), 0
-    if aside:
-        place, lift = (float(np.median(columns)), float(rows.min())), 9
-    axes.annotate(name, place, (0, lift), textcoords="offset points", color="white", fontsize=TEXT_PT,
-                  fontweight="bold", ha="center", va="center", zorder=6,
+def _name(axes: Axes, name: str, inside: Bool, colour: str, ends: Float64 | None) -> None:
+    """Write the id of an object on it; far from the closing line between the ends (2, 2) of a grasp on it."""
+    places = np.argwhere(inside)[:, ::-1]
+    place = np.median(places, axis=0)
+    if ends is not None:
+        along = ends[1] - ends[0]
+        apart = (places - ends[0]) @ np.array([-along[1], along[0]])
+        place = places[np.argmax(np.abs(apart))]
+    _label(axes, name, place, (0.0, 0.0), colour)
+
+
+def _label(axes: Axes, text: str, place: Any, shift: Any, colour: str) -> None:
+    """Write a word at a place of a picture, shifted by some points."""
+    axes.annotate(text, place, shift, textcoords="offset points", color="white", fontsize=TEXT_PT,
+                  fontweight="bold", ha="center", va="center", zorder=6, annotation_clip=True,
                   bbox={"boxstyle": "round,pad=0.2", "facecolor": colour, "edgecolor": "white", "linewidth": 0.6})  # fmt: skip
 
 
-def _draw_grasp(axes: Axes, cloud: Cloud, grasp: Grasp) -> None:
-    """Draw the boxes of the hand as the camera would see them, and the contacts with their closing line."""
+def _draw_grasp(axes: Axes, cloud: Cloud, grasp: Grasp, fingers: Sequence[str]) -> None:
+    """Draw the hand as the camera would see it, and the contacts with the names of their fingers and the closing line."""
     for part, boxes in hand_boxes(grasp).items():
         draw_boxes(axes, pixels_of(cloud, boxes[(boxes[..., 2] > 0.0).all(axis=1)]), part)  # in front of the camera
     ends = pixels_of(cloud, np.stack([grasp.g1, grasp.g2]))
     axes.plot(*ends.T, color="white", linewidth=3.2, zorder=5)
     axes.plot(*ends.T, color=INK, linewidth=1.6, zorder=5)
-    for (u, v), colour in zip(ends, FINGER_COLOURS, strict=False):
+    away = (ends - ends.mean(axis=0)) * [1.0, -1.0]  # up in a picture is down in rows
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+    for (u, v), colour, name, aside in zip(ends, FINGER_COLOURS, fingers, away, strict=False):
         axes.plot(u, v, "o", color=colour, markeredgecolor="white", markersize=7.5, zorder=5)
+        _label(axes, name, np.array([u, v]), aside * [9.0 + 2.6 * len(name), 15.0], colour)

@@ -21,6 +21,7 @@ from foretouch.report.panels import (
     new_figure,
     save,
 )
+from foretouch.tactile.channels import finger_label
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Bool, Float64, Prediction, Touch
 
@@ -33,6 +34,8 @@ from foretouch.tactile.description import Sensor
 
 _DISC: Final = 0.38  # radius, of the distance between neighbours
 _RING: Final = 0.32  # width of the widest ring, of the same
+_BEYOND: Final = 2.0  # percent of the levels
+_SQUARE: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 _PAD: Final = 0.7  # of the skin beyond the taxels, of the same
 _CIRCLE: Final = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)])
 _NUMBERED: Final = 200  # taxels of which each can have its index beside it
@@ -41,8 +44,9 @@ _NUMBERED: Final = 200  # taxels of which each can have its index beside it
 class FingerScale:
     """One scale of colours and of rings, for all fingers of a page.
 
-    A taxel is a disc on the finger's skin, whose colour is its level. The grey ring around a predicted one is as wide as its 90 %
-    interval. A cross marks one that was read outside of its interval, a hollow one is dead.
+    A taxel is a disc on the finger's skin, whose colour is its level: pale at rest, purple as by pressing, orange the other way. The
+    grey ring around a predicted one is as wide as its 90 % interval. A square is around one that was read outside of its interval, a
+    hollow one is dead. The colours end where 2 % of the levels lie beyond.
 
     Args:
         view: The sensor.
@@ -58,11 +62,7 @@ class FingerScale:
 
         self.view, self.tared = view, tared
         known = np.concatenate([[], *levels])
-        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-        colours = "magma_r" if tared or view.channel.contact > 0 else "magma"  # dark where contact is strong
-        if tared and not view.channel.contact:  # in both directions from rest
-            most = max(-low, high)
-            low, high, colours = -most, most, "PuOr"
+        colours, low, high = level_colours(view, known, tared=tared)
         self.colours: dict[str, Any] = {"cmap": colours, "clim": (low, high)}
         self.widest = max((float(half.max()) for half in halves if half.size), default=0.0)
         self.marks: set[str] = set()  # which marks were drawn
@@ -80,7 +80,7 @@ class FingerScale:
             finger: Index of the finger.
             levels: (N,) level of each taxel.
             half: (N,) half widths of their intervals; None for none.
-            outside: (N,) taxels that get a cross; None for none.
+            outside: (N,) taxels that get a square around them; None for none.
         """
         self.draw_skin(axes, finger)
         valid = self.view.sensor.valid[finger]
@@ -88,21 +88,21 @@ class FingerScale:
         if half is not None and self.widest > 0.0:
             ring = radius + _RING * self._pitch * half[valid] / self.widest
             self._discs(axes, self._places[valid], ring, facecolors=FAINT)
-        discs = self._discs(axes, self._places[valid], radius, edgecolors="white", cmap=self.colours["cmap"])
+        discs = self._discs(axes, self._places[valid], radius, edgecolors=INK, cmap=self.colours["cmap"])
         discs.set_array(levels[valid])
         discs.set_clim(*self.colours["clim"])
         if not valid.all():
             self.marks.add("hollow: dead")
             self._discs(axes, self._places[~valid], radius, facecolors="none", edgecolors=INK)
         if outside is not None and (outside & valid).any():
-            self.marks.add("×: read outside of its interval")
-            crossed = self._places[outside & valid]
-            axes.plot(*crossed.T, "X", markersize=6.5, color=INK, markeredgecolor="white", markeredgewidth=0.8)
+            self.marks.add("square: read outside of the predicted interval")
+            for place in self._places[outside & valid]:
+                axes.plot(*(place + 1.5 * radius * _SQUARE).T, color=INK, linewidth=1.5)
 
     def draw_skin(self, axes: Axes, finger: int) -> None:
         """Draw one fingertip without its taxels."""
         axes.fill(*self._skin.T, facecolor=SKIN, linewidth=0.0)
-        axes.plot(*self._skin.T, color=finger_colour(finger), linewidth=1.6)  # open where the finger goes on
+        axes.plot(*self._skin.T, color=finger_colour(finger), linewidth=2.0)  # open where the finger goes on
         axes.set(aspect="equal", anchor="N")
         axes.set_axis_off()
         axes.margins(0.03)
@@ -123,8 +123,8 @@ class FingerScale:
 
         scale: ScalarMappable = ScalarMappable(cmap=self.colours["cmap"])
         scale.set_clim(*self.colours["clim"])
-        bar = figure.colorbar(scale, ax=axes, orientation="horizontal", **options)
-        bar.outline.set_visible(False)
+        bar = figure.colorbar(scale, ax=axes, orientation="horizontal", extend="both", **options)
+        bar.outline.set_linewidth(0.5)
         bar.ax.tick_params(labelsize=SMALL_PT)
         bar.ax.locator_params(nbins=6)
         bar.set_label(self.label(), fontsize=SMALL_PT)
@@ -134,7 +134,21 @@ class FingerScale:
         unit = f" {self.view.channel.unit}" if self.view.channel.unit else ""
         widest = self.view.channel.text(self.widest)
         ring = [f"grey ring: 90 % interval, the widest ±{widest}{unit}"] if self.widest > 0.0 else []
-        return "\n".join(filter(None, (self.view.label(from_rest=self.tared), "; ".join([*ring, *sorted(self.marks)]))))
+        names = ["E: electrode, PDC: pressure"] if self.view.sensor.is_biotac else []
+        marks = "; ".join([*ring, *sorted(self.marks)])
+        return "\n".join(filter(None, (self.view.label(from_rest=self.tared), *names, marks)))
+
+
+def level_colours(view: TaxelView, known: Float64, *, tared: bool) -> tuple[str, float, float]:
+    """Return the palette of levels, and the levels of its ends: pale at rest where they are changes, else dark where contact is strong."""
+    colours = "magma_r" if view.channel.contact > 0 else "magma"
+    if not known.size:
+        return ("PuOr", -1.0, 1.0) if tared else (colours, 0.0, 1.0)
+    if tared:
+        high = float(np.nanpercentile(np.abs(known), 100.0 - _BEYOND))
+        return "PuOr", -high, high
+    low, high = map(float, np.nanpercentile(known, [_BEYOND, 100.0 - _BEYOND]))
+    return colours, low, high
 
 
 def _skin_around(places: Float64, pitch: float) -> Float64:
@@ -185,6 +199,9 @@ def _draw_flat(axes: Axes, sensor: Sensor, finger: str, dead: list[int]) -> None
         axes.annotate(
             str(index), (place[right], place[up]), xytext=(4, 4), textcoords="offset points", fontsize=SMALL_PT
         )
+    flat, along = places[:, [right, up]], sensor.layout.unrolled[:, 1]
+    way = (flat - flat.mean(axis=0)).T @ (along - along.mean())  # to the tip
+    way = way / max(float(np.abs(way).max()), 1e-12)
     title = f"{finger} from outside; hollow: dead" if finger else "from outside"
     axes.set(aspect="equal")
     axes.set_xlabel(f"{'xyz'[right]} [mm]", fontsize=SMALL_PT)
@@ -194,6 +211,10 @@ def _draw_flat(axes: Axes, sensor: Sensor, finger: str, dead: list[int]) -> None
     axes.margins(0.1)
     if (facing[depth] < 0.0) != (depth == 1):  # x and z are seen from -y
         axes.invert_xaxis()
+        way = way * [-1.0, 1.0]
+    arrow = {"arrowstyle": "-|>", "color": INK, "lw": 1.5}
+    axes.annotate("", 0.5 + 0.49 * way, 0.5 + 0.36 * way, "axes fraction", "axes fraction", arrowprops=arrow)
+    axes.annotate("tip", 0.5 + 0.33 * way, xycoords="axes fraction", fontsize=TEXT_PT, ha="center", va="center")
 
 
 def save_sensor_figure(sensor: Sensor, path: Path) -> Path:
@@ -215,13 +236,14 @@ def save_sensor_figure(sensor: Sensor, path: Path) -> Path:
     space.scatter(*places.T, color=FINGER_COLOURS[1])
     space.scatter(*(places + length * normals).T, s=0.0)  # so that the axes reach there
     space.quiver(*places.T, *normals.T, length=length, color="grey")
-    space.locator_params(axis="z", nbins=3)
+    space.locator_params(nbins=4)
+    space.locator_params(axis="z", nbins=2)
     for set_label, axis in ((space.set_xlabel, "x"), (space.set_ylabel, "y"), (space.set_zlabel, "z")):
         set_label(f"{axis} [mm]", fontsize=SMALL_PT)
     space.set_title("outward normals", fontsize=TEXT_PT)
     space.tick_params(labelsize=SMALL_PT)
-    space.set_box_aspect(np.ptp([space.get_xlim(), space.get_ylim(), space.get_zlim()], axis=1), zoom=0.85)
+    space.set_box_aspect(np.ptp([space.get_xlim(), space.get_ylim(), space.get_zlim()], axis=1), zoom=0.98)
     values = ", ".join(f"{value.name} [{value.unit}]" for value in config.values)
-    fingers = ", ".join(finger.name for finger in config.fingers)
-    figure.suptitle(f"{config.name}: {sensor.size} taxels with {values}, on {fingers}", fontsize=TEXT_PT)
+    fingers = ", ".join(finger_label(finger.name) for finger in config.fingers)
+    figure.suptitle(f"{config.name} on {fingers}: each of its {sensor.size} taxels reads {values}", fontsize=TEXT_PT)
     return save(figure, path)

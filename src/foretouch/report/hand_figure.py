@@ -4,7 +4,7 @@
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from foretouch.report.panels import SMALL_PT, Axes, new_figure, save
 from foretouch.types import Float64, Grasp
 
 _EDGES: Final = [(a, b) for a in range(8) for b in (a ^ 1, a ^ 2, a ^ 4) if a < b]  # of the corners of a box
+_SILHOUETTE, _MARGIN = 400, 8  # pixels of the longer side of a silhouette, and around it
 _MORE_SEEN: Final = 1.02  # times the area that is seen, from which on an unseen side is drawn
-COLOURS: Final = {FINGER: "#00798c", PALM: "#808080", THUMB: "#d1495b"}
+COLOURS: Final = {FINGER: "#00798c", PALM: "#6f7780", THUMB: "#d1495b"}
 """Of the parts of a hand; thumb and finger have the colours of their contacts, g1 and g2."""
 
 
@@ -41,20 +42,37 @@ def hand_boxes(grasp: Grasp) -> dict[str, Float64]:
     return {part: corners[parts == part] for part in COLOURS if part in hand.parts}
 
 
+def finger_names(grasp: Grasp) -> tuple[str, str]:
+    """Return what the fingers at g1 and g2 are called: of a hand with joints thumb and middle finger, else the contacts."""
+    if grasp.way is None or not grasp.way.joints:
+        return "g1", "g2"
+    return ("middle finger", "thumb") if grasp.way.thumb_at == "g2" else ("thumb", "middle finger")
+
+
 def hand_lines(grasp: Grasp) -> dict[str, Float64]:
     """Find the edges of `hand_boxes`: by part the ends (E, 2, 3) float64 of E edges [m]."""
     return {part: boxes[:, _EDGES].reshape(-1, 2, 3) for part, boxes in hand_boxes(grasp).items()}
 
 
 def draw_boxes(axes: Axes, boxes: Float64, part: str) -> None:
-    """Draw the outlines of boxes of a part of the hand, whose corners (B, 8, 2) lie in the plane of a picture; the picture shows through."""
+    """Draw the silhouette of boxes of a part of the hand, whose corners (B, 8, 2) lie in the plane of a picture; the picture shows through."""
+    from PIL import Image, ImageDraw
+    from scipy.ndimage import gaussian_filter
     from scipy.spatial import ConvexHull
 
+    if not boxes.size:
+        return
+    low, span = boxes.min(axis=(0, 1)), float(np.ptp(boxes, axis=(0, 1)).max())
+    step = span / (_SILHOUETTE - 2 * _MARGIN)
+    image = Image.new("L", (_SILHOUETTE, _SILHOUETTE))
     for corners in boxes:
-        outline = corners[ConvexHull(corners).vertices].T
-        style: dict[str, Any] = {"alpha": 0.12, "linewidth": 0.5} if part == PALM else {"alpha": 0.4, "linewidth": 0.9}
-        axes.fill(*outline, facecolor=COLOURS[part], **style | {"linewidth": 0.0}, zorder=4)
-        axes.fill(*outline, fill=False, edgecolor=COLOURS[part], **style | {"alpha": 1.0}, zorder=4)
+        outline = (corners[ConvexHull(corners).vertices] - low) / step + _MARGIN
+        ImageDraw.Draw(image).polygon(list(map(tuple, outline)), fill=1)
+    inside = gaussian_filter(np.asarray(image, np.float64), _MARGIN / 4.0)
+    x, y = low[:, None] + step * (np.arange(_SILHOUETTE) - _MARGIN)
+    fill, alpha, zorder = ("#e3e7eb", 0.45, 3.5) if part == PALM else (COLOURS[part], 0.6, 4.0)
+    axes.contourf(x, y, inside, levels=[0.5, 2.0], colors=fill, alpha=alpha, zorder=zorder)
+    axes.contour(x, y, inside, levels=[0.5], colors=COLOURS[part], linewidths=1.2, zorder=zorder)
 
 
 def draw_unseen(axes: Axes, seen: Float64, unseen: Float64) -> None:

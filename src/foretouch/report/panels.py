@@ -36,7 +36,7 @@ FINGER_COLOURS: Final = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")
 OBJECT_COLOURS: Final = ("#ff8000", "#00a6d6", "#e6007e", "#7ab800", "#8f4fd1", "#d9b300", "#00a88f", "#d1495b")
 """Of objects by their order; each has its id beside it for who sees colours in another way."""
 
-INK, FAINT, SKIN, TABLE = "#202020", "#9aa3ad", "#f3e9e1", "#8a6d3b"
+INK, FAINT, SKIN, TABLE = "#202020", "#a9b1ba", "#fbf6f1", "#8a6d3b"
 
 _MAX_POINTS: Final = 5000  # more make a scatter plot slower, not denser
 

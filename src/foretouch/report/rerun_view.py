@@ -31,8 +31,9 @@ from foretouch.base.files import open_own, part_of, read_bytes, replace_files, r
 from foretouch.errors import FileError, ForetouchError, MissingDependencyError
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.report.camera_figure import outlines_of, photograph, pixels_of
+from foretouch.report.finger_figure import level_colours
 from foretouch.report.hand_figure import COLOURS, hand_lines
-from foretouch.report.panels import OBJECT_COLOURS
+from foretouch.report.panels import OBJECT_COLOURS, SKIN
 from foretouch.tactile.channels import BIOTAC_SP, LAYER_M, skin_axes
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
@@ -58,9 +59,11 @@ _SHOWN: Final = (
     "/scene/objects",
     "/scene/table",
     "/scene/candidates",
+    "/scene/outline",
     "/taxels",
 )  # in some steps
 _AXIS_M: Final = 0.06
+_EYE_M: Final = 0.27  # from which the scene is seen at first
 _JPEG: Final = 85  # quality of images
 _TABLE_MARGIN_M: Final = 0.05  # around what was seen
 _SCREENSHOT_S: Final = 120.0
@@ -168,7 +171,7 @@ class _Writer:
             self._taxels()
             self._styles()
             self._to.send_blueprint(
-                _layout(self._view, with_scene=self._seen, with_image=self._pictured),
+                _layout(self._view, self._steps[0], with_scene=self._seen, with_image=self._pictured),
                 make_active=True,
                 make_default=True,
             )
@@ -237,6 +240,8 @@ class _Writer:
         rr = self._rr
         self._to.log("/scene/hand", rr.Transform3D(translation=grasp.midpoint, mat3x3=grasp.rotation))
         self._to.log("/scene/hand", rr.TransformAxes3D(_AXIS_M))
+        for part, edges in hand_lines(grasp).items():
+            self._to.log(f"/scene/outline/{part}", rr.LineStrips3D(edges, colors=_rgb([COLOURS[part]]), radii=0.0008))
         ends = (np.stack([grasp.g1, grasp.g2]) - grasp.midpoint) @ grasp.rotation
         self._to.log("/scene/hand/line", rr.LineStrips3D([ends], radii=0.0006))
         depth = 0.0 if self._skin is None else self._skin[2]  # of the surface below the origin
@@ -278,13 +283,12 @@ class _Writer:
                 self._to.log(f"/touch/{path}/{what}", style, static=True)
 
     def _taxels(self) -> None:
-        """Write the taxels of all steps, coloured by one scale for each finger, predicted as read: changes from rest where all steps have one."""
+        """Write the taxels of all steps, coloured by one scale, predicted as read: changes from rest where all steps have one."""
         from matplotlib import colormaps
 
         view = self._view
         rr, layout = self._rr, view.sensor.layout
         tared = all(view.has_rest(step.tare) for step in self._steps if step.read or step.prediction)
-        colours = colormaps["plasma" if tared else "viridis"]
         flat = 1e3 * layout.unrolled * [1.0, -1.0]  # [mm], y down
         beside = np.array([np.ptp(flat[:, 0]) + 8.0, 0.0])  # of what was read
         radius = min(1.0, 10.0 / math.sqrt(view.sensor.size))  # [mm]
@@ -293,18 +297,21 @@ class _Writer:
         else:
             placed = layout.positions @ layout.to_fingertip.T
             placed = placed - [placed[:, 0].mean(), 0.0, placed[:, 2].min()]
-        for finger, name in enumerate(view.sensor.channels.fingers[: len(_COLOURS)]):
-            dead = ~view.sensor.valid[finger]
-            rows = [
-                (number, what, view.levels(touch.values, step.tare if tared else None, finger))
-                for number, step in enumerate(self._steps)
-                for what, touch in (("predicted", step.value), ("read", step.read))
-                if touch is not None
-            ]
-            known = [levels[~dead] for _, _, levels in rows]
-            low, high = np.nanpercentile(known, [1, 99]) if known else (0.0, 0.0)
-            span = max(high - low, view.channel.resolution)
-            for number, what, levels in rows:
+        shown = range(len(view.sensor.channels.fingers[: len(_COLOURS)]))
+        rows = [
+            (finger, number, what, view.levels(touch.values, step.tare if tared else None, finger))
+            for finger in shown
+            for number, step in enumerate(self._steps)
+            for what, touch in (("predicted", step.value), ("read", step.read))
+            if touch is not None
+        ]
+        known = [levels[view.sensor.valid[finger]] for finger, _, _, levels in rows]
+        palette, low, high = level_colours(view, np.concatenate([[], *known]), tared=tared)
+        colours = colormaps[palette]
+        span = max(high - low, view.channel.resolution)
+        for finger in shown:
+            name, dead = view.sensor.channels.fingers[finger], ~view.sensor.valid[finger]
+            for number, what, levels in (row[1:] for row in rows if row[0] == finger):
                 self._begin(number, self._steps[number])
                 shades = colours(np.clip((np.nan_to_num(levels) - low) / span, 0.0, 1.0), bytes=True)
                 shades[dead | np.isnan(levels)] = _DEAD
@@ -315,7 +322,7 @@ class _Writer:
                     on_finger = rr.Points3D(placed, colors=shades, radii=0.0012 * radius)
                     self._to.log(f"{_path(view.fingers[finger])}/taxels", on_finger)
                 above = [[places[:, 0].mean(), places[:, 1].min() - 3.0]]
-                heading = rr.Points2D(above, radii=0.01, labels=[what], colors=_CANDIDATE)
+                heading = rr.Points2D(above, radii=0.01, labels=[what], colors=(255, 255, 255))
                 self._to.log(f"/taxels/{name}/{what}_title", heading, static=True)
 
 
@@ -374,7 +381,20 @@ def _text(step: ViewStep, view: TaxelView) -> str:
     return "\n\n".join(lines)
 
 
-def _layout(view: TaxelView, *, with_scene: bool, with_image: bool) -> Any:
+def _eye(step: ViewStep) -> Any:
+    """Return where the scene is seen from: across the closing line, with the table below; None without a table or a grasp."""
+    import rerun.blueprint as rrb
+
+    if step.table is None or step.grasp is None:
+        return None
+    up = step.table.towards_camera.normal
+    beside = np.cross(up, step.grasp.g1 - step.grasp.g2)
+    beside = beside / max(float(np.linalg.norm(beside)), 1e-9)
+    place = step.grasp.midpoint + _EYE_M * (0.8 * beside + 0.6 * up)
+    return rrb.EyeControls3D(position=place, look_target=step.grasp.midpoint, eye_up=up)
+
+
+def _layout(view: TaxelView, first: ViewStep, *, with_scene: bool, with_image: bool) -> Any:
     """Return the image and the scene with the answer, beside the curves and the taxels of each finger."""
     import rerun.blueprint as rrb
 
@@ -383,15 +403,16 @@ def _layout(view: TaxelView, *, with_scene: bool, with_image: bool) -> Any:
         curves = [
             rrb.TimeSeriesView(
                 origin=f"/touch/{channel.name}_{name}",
-                name=f"{finger}: {'mean of ' if channel is view.channel else ''}{channel.name} [{channel.unit}]",
+                name=f"{finger}: {'mean ' if channel is view.channel else ''}{channel.name} [{channel.unit}]",
                 plot_legend=rrb.PlotLegend(visible=number == 0 and place == 0),
             )
             for place, channel in enumerate((*view.sensor.scalar_channels, view.channel))
         ]
-        taxels = rrb.Spatial2DView(origin=f"/taxels/{name}", name=f"{finger}: {view.channel.name} of all taxels")
+        title = f"{finger}: {view.channel.name} of taxels"
+        taxels = rrb.Spatial2DView(origin=f"/taxels/{name}", name=title, background=_rgb([SKIN])[0])
         columns.append(rrb.Vertical(*curves, taxels))
     answer = rrb.TextDocumentView(origin="/answer", name="answer")
-    scene = rrb.Spatial3DView(origin="/scene", name="scene", line_grid=False)
+    scene = rrb.Spatial3DView(origin="/scene", name="scene", line_grid=False, eye_controls=_eye(first))
     views = [rrb.Spatial2DView(origin="/image", name="camera")] * with_image + [scene] * with_scene
     left = rrb.Vertical(*views, answer, row_shares=[*[3] * len(views), 2])
     return rrb.Blueprint(

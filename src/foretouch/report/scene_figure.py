@@ -13,9 +13,9 @@ import numpy as np
 from foretouch.base.files import as_path
 from foretouch.errors import ConfigError, none_of, shown
 from foretouch.grasp.geograsp import unseen_side
-from foretouch.report.camera_figure import draw_scene_image, window_of
+from foretouch.report.camera_figure import draw_scene_image, shown_of, window_of
 from foretouch.report.finger_figure import FingerScale, finger_levels, title_finger
-from foretouch.report.hand_figure import draw_boxes, draw_unseen, hand_boxes
+from foretouch.report.hand_figure import draw_boxes, draw_unseen, finger_names, hand_boxes
 from foretouch.report.panels import (
     FINGER_COLOURS,
     INK,
@@ -44,6 +44,7 @@ PANELS: Final = ("image", "touch", "above", "side")
 
 _SIDE_INCH: Final = 3.2  # height of the views of a grasp
 _AROUND_M: Final = 0.03  # shown around object and grasp
+_SEEN_MM: Final = 8.0  # from a contact to the nearest point of a side that the camera saw
 _HAND_M: Final = 0.15  # as far a hand is shown beyond the object
 
 
@@ -92,7 +93,7 @@ def draw_scene(
     sides = target is not None and (grasp is not None or not image)
     there = {"image": image, "above": sides, "side": sides, "touch": prediction is not None}
     shown = [name for name in PANELS if there[name] and name in panels]
-    figure, parts = _new_page(shown, scene)
+    figure, parts = _new_page(shown, scene, grasp)
     if isinstance(scene, Scene) and "image" in parts:
         axes = parts["image"].subplots()
         draw_scene_image(axes, scene, grasp)
@@ -108,10 +109,10 @@ def draw_scene(
     return without_formulas(figure)
 
 
-def _new_page(panels: Sequence[str], scene: Scene | Object) -> tuple[Figure, dict[str, SubFigure]]:
+def _new_page(panels: Sequence[str], scene: Scene | Object, grasp: Grasp | None) -> tuple[Figure, dict[str, SubFigure]]:
     """Return an empty figure with a part for each panel."""
     rows = [row for row in (panels[:2], panels[2:]) if row]
-    heights = [_height(row, scene) for row in rows] or [_SIDE_INCH]
+    heights = [_height(row, scene, grasp) for row in rows] or [_SIDE_INCH]
     figure = new_figure(PAGE_INCH, sum(heights))
     grid = figure.add_gridspec(len(heights), height_ratios=heights)
     parts: dict[str, SubFigure] = {}
@@ -148,20 +149,21 @@ def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:
     return next(iter(scene.targets or scene.objects), None)
 
 
-def _height(row: Sequence[str], scene: Scene | Object) -> float:
+def _height(row: Sequence[str], scene: Scene | Object, grasp: Grasp | None) -> float:
     """Return the height of a row of panels [inch]."""
     if "image" not in row or not isinstance(scene, Scene):
         return _SIDE_INCH
-    left, right, top, bottom = window_of(scene.labels > 0)
+    left, right, top, bottom = window_of(*shown_of(scene, grasp))
     return (
         float(np.clip(PAGE_INCH / len(row) * (bottom - top) / (right - left), 2.4, 3.9 if len(row) > 1 else 5.4)) + 0.3
     )
 
 
 def _image_title(scene: Scene) -> str:
-    count = len(scene.objects)
-    title = f"what the camera sees: {count} object{'' if count == 1 else 's'} on the table"
-    return fill(title if count else f"{scene.status}: {scene.reason}", 58)
+    count, known = len(scene.objects), [one.confidence for one in scene.objects if one.confidence is not None]
+    title = f"what the camera sees: {count} object{'' if count == 1 else 's'} found"
+    title += f", {sum(share >= 0.5 for share in known)} probably whole" if known else ""
+    return fill(f"{title}; dashed: what they stand on" if count else f"{scene.status}: {scene.reason}", 58)
 
 
 def _draw_sides(views: Mapping[str, Axes], target: Object, others: Sequence[Object], grasp: Grasp | None) -> None:
@@ -191,9 +193,11 @@ def _draw_sides(views: Mapping[str, Axes], target: Object, others: Sequence[Obje
     title = f"grasp on object {target.id or '1'}{width}" if grasp is not None else f"object {target.id or '1'}"
     for name, axes in views.items():
         row = {"above": 1, "side": 2}[name]
+        reach = np.concatenate([own, unseen, ends, *(boxes.reshape(-1, 3) for boxes in hand.values())])[:, 3 - row]
         for other in others:
             rest = flat(some_points(other.cloud))
-            axes.scatter(rest[:, 0], rest[:, row], s=2, color="#c8c8c8", linewidths=0)
+            rest = rest[(rest[:, 3 - row] >= reach.min()) & (rest[:, 3 - row] <= reach.max())]
+            axes.scatter(rest[:, 0], rest[:, row], s=2, color="#b8b8b8", linewidths=0)
         axes.scatter(own[:, 0], own[:, row], s=4, c=own[:, 3 - row], cmap="cividis", linewidths=0)
         stands = [own, own * [1.0, 1.0, 0.0]] if row == 2 else []  # on the table
         hidden = np.concatenate([unseen, *stands])
@@ -201,24 +205,35 @@ def _draw_sides(views: Mapping[str, Axes], target: Object, others: Sequence[Obje
         for part, boxes in hand.items():
             draw_boxes(axes, boxes[..., [0, row]], part)
         if grasp is not None:
-            axes.plot(ends[:, 0], ends[:, row], color=INK, linewidth=1.2)
-            for k, (finger, colour) in enumerate(zip(("g1", "g2"), FINGER_COLOURS, strict=False)):
-                outward = 1.0 if ends[k, 0] >= ends[1 - k, 0] else -1.0
-                tail = ends[k, 0] + outward * 26.0, ends[k, row]
-                axes.annotate("", (ends[k, 0], ends[k, row]), tail, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.0})  # fmt: skip
-                axes.plot(ends[k, 0], ends[k, row], "o", color=colour, markeredgecolor="white", markersize=7, zorder=4)
-                axes.annotate(finger, tail, (8.0 * outward, 0.0), textcoords="offset points", color=colour, fontsize=TEXT_PT,
-                              fontweight="bold", ha="center", va="center",
-                              bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
+            _draw_contacts(axes, own, ends[:, [0, row]], ends, 0.1 * span, finger_names(grasp))
         middle = (low + high) / 2.0
         bottom = -0.08 * span if row == 2 else middle[1] - 0.5 * span
         axes.set(xlim=(middle[0] - 0.5 * span, middle[0] + 0.5 * span), ylim=(bottom, bottom + span), aspect="equal")
-        axes.set_xlabel("along the closing line [mm]" if grasp is not None else "x [mm]", fontsize=SMALL_PT)
+        along_line = "along the closing line [mm]; a hollow contact is estimated"
+        axes.set_xlabel(along_line if grasp is not None else "x [mm]", fontsize=SMALL_PT)
         axes.set_ylabel("across [mm]" if row == 1 else "height above the table [mm]", fontsize=SMALL_PT)
         axes.tick_params(labelsize=SMALL_PT)
-        axes.set_title({"above": f"{title}: from above", "side": "from the side"}[name], fontsize=TEXT_PT)
+        place = {"above": "from above", "side": "from the side"}[name]
+        axes.set_title(f"{title}: {place}" if axes is next(iter(views.values())) else place, fontsize=TEXT_PT)
         if row == 2:
             axes.axhline(0.0, color=TABLE, linewidth=1.5)
+
+
+def _draw_contacts(
+    axes: Axes, own: Float64, flat: Float64, ends: Float64, length: float, fingers: Sequence[str]
+) -> None:
+    """Draw the closing line between contacts (2, 2), whose places (2, 3) are hollow where no point (N, 3) was seen, with named arrows [mm]."""
+    axes.plot(*flat.T, color=INK, linewidth=1.6, zorder=5)
+    for k, (finger, colour) in enumerate(zip(fingers, FINGER_COLOURS, strict=False)):
+        outward = np.sign(ends[k, 0] - ends[1 - k, 0]) or 1.0
+        seen = np.linalg.norm(own - ends[k], axis=1).min() < _SEEN_MM
+        tail = flat[k] + [outward * length, 0.0]
+        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.0}
+        axes.annotate("", flat[k], tail, zorder=5, arrowprops=arrow)
+        axes.plot(*flat[k], "o", color=colour, fillstyle="full" if seen else "none", markersize=7, zorder=5)
+        axes.annotate(finger, flat[k], (4.0 * outward, 8.0), textcoords="offset points", color=colour, fontsize=TEXT_PT,
+                      fontweight="bold", ha="left" if outward > 0.0 else "right", va="bottom", zorder=5,
+                      bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
 
 
 def _draw_touch(part: FigureBase, prediction: Prediction, rest: Touch | None, sensor: Sensor | None) -> None:

@@ -32,7 +32,7 @@ from foretouch.tactile.dead_taxels import usable
 from foretouch.types import REST, SECOND_NS, TouchSeries
 
 _FINGER_INCH = 1.75  # height of a finger, with its title
-_SCALE_INCH = 0.85  # height of the scale of colours
+_SCALE_INCH = 1.05  # height of the scale of colours
 _LINE = 105  # characters of a title
 _OUTCOMES: Final = {"success": "#1a7f37", "failure": "#c9252d", "unknown": "#404040"}
 _ROW_INCH: Final = 2.0  # height of a grasp
@@ -43,7 +43,7 @@ class DrawnGrasp:
     """One grasp to draw: its object, its predictions, and what was read where it was executed."""
 
     prediction: Prediction  # a refused one is drawn without its taxels
-    earlier: Prediction | None = None  # of the same grasp, before the first touch of the object
+    earlier: Prediction | None = None  # of the same grasp, before the first touch of the object; is compared, not drawn
     target: Object | None = None  # the object; None draws neither scene nor contacts
     scene: Cloud | None = None  # the whole cloud, drawn if it is organised; None if there is only the object
     rest: Touch | None = None  # reading without contact; taxels are then coloured by their change from it
@@ -67,8 +67,8 @@ def save_touch_picture(
 ) -> Path:
     """Write one PNG with a part for each grasp: what the camera sees, taxels predicted and read, and how they agree.
 
-    All touches are of one sensor. Taxels that were read outside of their intervals have a cross, dead ones are hollow. The folder of
-    the file is created.
+    All touches are of one sensor. Taxels that were read outside of their intervals have a square around them, dead ones are hollow.
+    The folder of the file is created.
 
     Args:
         path: File to write.
@@ -104,18 +104,16 @@ def save_touch_picture(
 
 
 def _columns(grasp: DrawnGrasp, view: TaxelView, *, tared: bool) -> list[_Column]:
-    """Return what is drawn beside each other: predicted before the first touch, predicted, read."""
-    rest = grasp.rest if tared else None
+    """Return what is drawn beside each other: predicted, read."""
+    rest, prediction = grasp.rest if tared else None, grasp.prediction
     fingers = range(len(view.fingers))
-    named = {"predicted": grasp.prediction}
-    if grasp.earlier is not None:
-        named = {"predicted before\nthe first touch": grasp.earlier, "predicted after\ntouches": grasp.prediction}
     columns = []
-    for what, prediction in named.items():
-        if prediction.ok:
-            drawn = [finger_levels(view, prediction, rest, k) for k in fingers]
-            values, halves = [one for one, _ in drawn], [half for _, half in drawn]
-            columns.append(_Column(what, prediction.value, values, halves, None, prediction))
+    if prediction.ok:
+        drawn = [finger_levels(view, prediction, rest, k) for k in fingers]
+        values, halves = [one for one, _ in drawn], [half for _, half in drawn]
+        touches = prediction.evidence.touches
+        what = f"predicted after\n{touches} touch{'' if touches == 1 else 'es'}" if touches else "predicted"
+        columns.append(_Column(what, prediction.value, values, halves, None, prediction))
     if grasp.read is not None:
         levels = [view.levels(grasp.read.values, rest, k) for k in fingers]
         inside = _inside(grasp.prediction, grasp.read)
@@ -124,10 +122,11 @@ def _columns(grasp: DrawnGrasp, view: TaxelView, *, tared: bool) -> list[_Column
 
 
 def _draw_columns(part: FigureBase, row: Sequence[_Column], scale: FingerScale, *, across: bool) -> None:
-    """Draw predictions and reading beside each other, with the fingers of each below each other, or all in one line."""
+    """Draw the prediction and the reading of each finger beside each other, the fingers below each other, or all in one line."""
     view = scale.view
     fingers = len(view.fingers)
-    grid = part.subplots(1, fingers * len(row), squeeze=False).reshape(len(row), fingers).T if across else part.subplots(fingers, len(row), squeeze=False)  # fmt: skip
+    lines, beside = (1, fingers * len(row)) if across else (fingers, len(row))
+    grid = part.subplots(lines, beside, squeeze=False).reshape(fingers, len(row))
     for number, column in enumerate(row):
         for k, axes in enumerate(grid[:, number]):
             outside = None if column.outside is None else column.outside[view.columns(k)]
@@ -187,9 +186,10 @@ def _draw_seen(axes: Axes, grasp: DrawnGrasp, target: Object, view: TaxelView, *
         _draw_front(axes, target.cloud, grasp.prediction.grasp, view.fingers)
         return
     name = f"object {target.id}" if target.id.isdecimal() else target.id
-    draw_camera(axes, cloud, {name: area_of(target, cloud)}, grasp=grasp.prediction.grasp, around=0.7)
-    width = f"{1e3 * grasp.prediction.grasp.width_m:.0f} mm wide"
-    axes.set_title(f"what the camera sees, {target.distance_m:.2f} m away,\nand the grasp, {width}", fontsize=TEXT_PT)
+    shown = grasp.prediction.grasp
+    draw_camera(axes, cloud, {name: area_of(target, cloud)}, grasp=shown, around=0.7, fingers=view.fingers)
+    drawn = f"the grasp, {1e3 * shown.width_m:.0f} mm wide{'' if shown.way is None else ' (pale: the hand)'}"
+    axes.set_title(f"what the camera sees, {target.distance_m:.2f} m away,\nand {drawn}", fontsize=TEXT_PT)
 
 
 def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str]) -> None:

@@ -62,9 +62,9 @@ class TaxelView:
     def label(self, *, from_rest: bool) -> str:
         """Return what `levels` are, with their unit."""
         channel = self.channel
-        change = {-1: "drop", 0: "change", 1: "rise"}[channel.contact]
+        sign = {-1: f", + pressed ({channel.name} falls)", 0: "", 1: ", + pressed"}[channel.contact]
         return (
-            f"{change} of {channel.name} from rest [{channel.unit}]"
+            f"change of {channel.name} from rest [{channel.unit}]{sign}"
             if from_rest
             else f"{channel.name} [{channel.unit}]"
         )

@@ -27,10 +27,10 @@ from foretouch.models.own import PREDICTORS as INSTALLED
 from foretouch.models.own import find_predictor
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
-from foretouch.report.panels import Rows
+from foretouch.report.panels import INK, PAGE_INCH, SMALL_PT, TEXT_PT, Rows, new_figure, save_small
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch_lab.experiments.framework.manifest import cell_seconds
-from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
+from foretouch_lab.experiments.shared.figures import draw_intervals
 from foretouch_lab.experiments.shared.predictors import PREDICTORS
 from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.experiments.shared.tables import grouped, interval_text, pivot, select, unique, with_notes
@@ -268,20 +268,43 @@ def _hashed(row: Row) -> str:
 
 
 def _draw(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `leaderboard.png`: skill and interval of each predictor, by split and modality."""
-    modalities = unique(rows, "modality")
-    lines = []
-    for split, own in grouped(rows, "split"):
-        order = sorted(select(own, modality=MEAN), key=lambda row: -row["skill"])
-        names = [row["predictor"] for row in order]
-        draw = partial(draw_intervals, column="predictor", names=names, lowest=-1.0, colour=_colour)
-        lines.append(Line(0.9 + 0.22 * len(names), own, draw, split, "skill"))
-    width = 3.0 * len(modalities)
-    return save_panels(folder / "leaderboard.png", width, lines, modalities=modalities, sharex=True, sharey="row")
+    """Draw `leaderboard.png`: mean skill and interval of each predictor, a panel for each split."""
+    totals = select(rows, modality=MEAN)
+    splits, names = unique(totals, "split"), unique(totals, "predictor")
+    names.sort(key=lambda name: (name in _BASELINES, _BASELINES.index(name) if name in _BASELINES else 0))
+    figure = new_figure(PAGE_INCH, 1.5 + 0.24 * len(names))
+    panels = figure.subplots(1, len(splits), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, split in zip(panels, splits, strict=True):
+        own = select(totals, split=split)
+        draw_intervals(axes, own, "predictor", names, -0.5, _colour)
+        axes.set_title(_PANELS[split], fontsize=TEXT_PT)
+        axes.tick_params(labelsize=SMALL_PT)
+    panels[0].set_yticks(range(len(names)), [_PLAIN.get(name, name) for name in names])
+    for name, text in zip(names, panels[0].get_yticklabels(), strict=True):
+        text.set(color=_colour({"predictor": name}), fontweight="normal" if name in _BASELINES else "bold")
+    better = {
+        row["split"] for row in totals if row["vs_best_verdict"] == "better" and row["predictor"] not in _BASELINES
+    }
+    figure.suptitle(
+        f"On {len(better) or 'none'} of {len(splits)} splits is a model (bold) certainly better than the best baseline",
+        fontsize=TEXT_PT,
+    )
+    figure.supxlabel("mean skill (1: perfect, 0: the mean of the training); bars: 95 % intervals", fontsize=TEXT_PT)
+    return [save_small(figure, folder / "leaderboard.png")]
 
 
 def _colour(row: Mapping[str, Any]) -> str:
-    return "C0" if row["predictor"] in _BASELINES else "C1"
+    return INK if row["predictor"] in _BASELINES else "#c8501e"
+
+
+_PANELS: Final = {
+    "random": "random:\nknown objects", "time": "time:\nanother time", "object": "object:\nnew objects",
+    FIRST_TOUCHES: "touches: new objects\nafter 0 to 2 touches",
+}  # fmt: skip
+_PLAIN: Final = {
+    "training_mean": "mean of the training", "object_mean": "mean of the object", "object_time_trees": "object and time",
+    "clock": "time alone", "geometry_trees": "geometry, with place", "geometry_trees_pose_free": "geometry alone",
+}  # fmt: skip
 
 
 EXPERIMENT = Leaderboard(
