@@ -331,7 +331,7 @@ def draw_skills(axes: Axes) -> None:
     """Draw the skill of the thumb's electrodes on real objects left out, after touches of them (docs/results/unseen_object)."""
     with (FOLDER / "results" / "unseen_object" / "results.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["object"] == "all" and row["modality"] == "E_TH"]
-    drawn = (("contact", "the model", (6.6, 0.1), 2, OBJECT_COLOURS[4], "o-"), ("training_mean", "the mean of the training", (6.2, 0.85), 2, INK, "s--"))  # fmt: skip
+    drawn = (("contact", "the model", (6.6, 0.1), 2, OBJECT_COLOURS[4], "o-"), ("training_mean", "the mean of the training,\nmoved by the touches", (6.2, 0.85), 2, INK, "s--"))  # fmt: skip
     for name, text, place, which, colour, style in drawn:
         own = sorted((row for row in rows if row["predictor"] == name), key=lambda row: int(row["touches"]))
         touches, skill, low, high = (
@@ -343,7 +343,7 @@ def draw_skills(axes: Axes) -> None:
     axes.axhline(0.0, color=FAINT, linewidth=1.0)
     axes.set(xticks=(0, 1, 3, 5, 10), ylim=(-0.1, 1.0))
     axes.set_xlabel("touches of the object before the prediction", fontsize=SMALL_PT)
-    axes.set_ylabel("skill (1: perfect, 0: the mean)", fontsize=SMALL_PT)
+    axes.set_ylabel("skill (1: perfect, 0: the mean, not moved)", fontsize=SMALL_PT)
     axes.set_title("eight real objects, new to the model\n(bands: 95 % intervals)", fontsize=TEXT_PT)
     axes.tick_params(labelsize=SMALL_PT)
 
@@ -404,7 +404,7 @@ def draw_intervals() -> None:
         x, y = 1e3 * view.sensor.layout.unrolled[most]
         axes.text(x, y, str(most + 1), color="white", fontsize=SMALL_PT, fontweight="bold", ha="center", va="center")
     draw_bars(middle, levels, half, read, finger)
-    middle.set_ylabel("change from rest [counts]", fontsize=SMALL_PT)
+    middle.set_ylabel("fall of E below rest [counts]", fontsize=SMALL_PT)
     middle.set_title("the same 24 electrodes as bars", fontsize=TEXT_PT)
     scale.add_bar(figure, [seen, left, middle, right], shrink=0.6, aspect=45)
     print(f"{(~outside).sum()} of {len(levels)} inside")  # noqa: T201

@@ -27,9 +27,9 @@ COUNTS: Final = (0, 5, 10, 20, 30, 100)
 RECORDED, TESTED, RUN = max(COUNTS), 60, 5
 WAYS: Final = ("tracker", "where", "fitted")
 STYLES: Final = {
-    "tracker": {"label": "the released model, moved by the readings", "color": INK, "marker": "s", "linestyle": "--"},
-    "where": {"label": "the same, by readings of like grasps", "color": FINGER_COLOURS[3], "marker": "^", "linestyle": "-."},
-    "fitted": {"label": "a model fitted to these grasps", "color": FINGER_COLOURS[1], "marker": "o", "linestyle": "-"},
+    "tracker": {"label": "released model, adapted by readings", "color": INK, "marker": "s", "linestyle": "--"},
+    "where": {"label": "same, like grasps count more", "color": FINGER_COLOURS[3], "marker": "^", "linestyle": "-."},
+    "fitted": {"label": "model fitted to these grasps", "color": FINGER_COLOURS[1], "marker": "o", "linestyle": "-"},
 }  # fmt: skip
 MINUTE_NS: Final = 60 * 10**9
 OFFSET: Final = {"BioTac SP": 150.0, "uSkin": 1000.0}  # standard deviation of the rest level of each value [counts]
@@ -187,7 +187,7 @@ def draw(path: Path) -> None:
                         if (row["hand"], row["way"], int(row["grasps"])) == (hand, way, count) and row[what]
                     ]  # fmt: skip
                     if values:
-                        points.append((place + 0.22 * (shift - 1), *interval(values)))
+                        points.append((place + 0.1 * (shift - 1), *interval(values)))
                 axes.errorbar(*np.transpose(points), capsize=3, markersize=5, **style)
             axes.set_xticks(range(len(COUNTS)), [str(count) for count in COUNTS])
             axes.tick_params(labelsize=SMALL_PT)

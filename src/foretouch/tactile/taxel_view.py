@@ -62,12 +62,14 @@ class TaxelView:
     def label(self, *, from_rest: bool) -> str:
         """Return what `levels` are, with their unit."""
         channel = self.channel
-        sign = {-1: f", + pressed ({channel.name} falls)", 0: "", 1: ", + pressed"}[channel.contact]
-        return (
-            f"change of {channel.name} from rest [{channel.unit}]{sign}"
-            if from_rest
-            else f"{channel.name} [{channel.unit}]"
-        )
+        if not from_rest:
+            return f"{channel.name} [{channel.unit}]"
+        words = {
+            -1: f"fall of {channel.name} below rest",
+            0: f"change of {channel.name} from rest",
+            1: f"rise of {channel.name} above rest",
+        }
+        return f"{words[channel.contact]} [{channel.unit}]{', + pressed' if channel.contact else ''}"
 
     def shares(self, values: Float64, rest: Touch | None, ranges: Ranges, finger: int) -> Float64:
         """Return (..., N) float64 in [0, 1]: how far contact has moved each taxel, of (..., D) values of touches.
