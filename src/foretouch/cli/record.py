@@ -219,7 +219,7 @@ def run_check(node: RecorderNode, arguments: argparse.Namespace) -> int:
 
 def _check(node: RecorderNode, *, as_json: bool) -> list[CheckFinding]:
     """Print and return what is found."""
-    from foretouch.ros.sessions.check import CheckFeed, SessionCheck
+    from foretouch.ros.sessions.check import CheckFeed, CheckFinding, SessionCheck
 
     assert node.inputs is not None  # noqa: S101  an active node has them
     config = node.config
@@ -237,6 +237,8 @@ def _check(node: RecorderNode, *, as_json: bool) -> list[CheckFinding]:
             else:
                 print_text(f"ok    {finding.name}: {finding.found}")
 
+    models = f"hand {config.identity.hand}, camera {config.identity.camera}"
+    report([CheckFinding("recorded as", f"{models} (--set identity.hand=NAME, --set identity.camera=NAME)")])
     try:
         warn(f"keep the fingers open and still for {_REST_S:g} s")
         feed.receive(_REST_S)

@@ -25,6 +25,7 @@ from foretouch.cli.parser import CommandParser
 from foretouch.cli.screen import terminal, watch
 from foretouch.doors import at_work, needs_extras
 from foretouch.errors import ConfigError, ForetouchError
+from foretouch.grasp import HandConfig
 from foretouch.models import History, TouchModel, load_model
 from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file
@@ -68,7 +69,7 @@ def add_arguments(parser: CommandParser) -> None:
         metavar="N",
         help="end after N answered clouds (default: at the end of the source, or Ctrl-C)",
     )
-    add_options(parser, "--model", "--predictor", "--params")
+    add_options(parser, "--hand", "--model", "--predictor", "--params")
     parser.add_argument(
         "--picture",
         metavar="PNG",
@@ -162,6 +163,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         nodes["perception"]["model"] = str(arguments.model)
     if arguments.predictor:
         nodes["perception"]["predictor"] = arguments.predictor
+    if arguments.hand:
+        HandConfig().updated({"name": arguments.hand}, "--hand")  # likewise
+        nodes["perception"]["hand.name"] = arguments.hand
     if arguments.serve is not None:
         from foretouch.ros.nodes.bridge import foxglove_sdk
 
