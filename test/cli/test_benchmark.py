@@ -35,7 +35,9 @@ def test_a_command_adds_the_row_of_an_own_predictor_and_keeps_the_others(call, w
     assert {(row["seeds"], row["samples"], row["objects"]) for row in rows} == {(0, 48, 8)}
     assert all(row["cpu_s"] > 0.0 and len(str(row["data"])) == 16 for row in rows)
     page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
-    assert f"`foretouch benchmark touch --preset full --data {tmp_path / 'session'} 'models=" in page  # it can be repeated
+    assert (
+        f"`foretouch benchmark touch --preset full --data {tmp_path / 'session'} 'models=" in page
+    )  # it can be repeated
     assert "own_predictors:Constant, given as it is" in page
     assert (tmp_path / "out" / "leaderboard.png").stat().st_size > 10_000
 

@@ -253,7 +253,7 @@ def test_grasps_on_a_scene_are_planned_for_the_hand_that_it_names(tmp_path) -> N
     assert "hand.name" not in perception("--params", str(tmp_path / "own.yaml"))  # the file's counts
     option = perception("--params", str(tmp_path / "own.yaml"), "--hand", "robotiq_2f85")
     assert {"hand.name": "robotiq_2f85", "hand.thumb_at": "g1"}.items() <= option.items()  # an option counts more
-    with pytest.raises(ConfigError, match="--hand: name: frnka_hand: .* did you mean franka_hand"):
+    with pytest.raises(ConfigError, match=r"--hand: name: frnka_hand: .* did you mean franka_hand"):
         perception("--hand", "frnka_hand")
 
 

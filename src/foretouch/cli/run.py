@@ -155,17 +155,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     from foretouch.ros.sessions.playlist import cloud_is_object
 
     stated = list(nodes_of_file(arguments.params)) if arguments.params else []
-    perception: dict[str, Any] = {}
+    perception = _named(arguments)
     nodes: dict[str, dict[str, Any]] = {"perception": perception}
     arguments.remapped = []  # what perception receives
-    if arguments.model:
-        load_model(arguments.model, arguments.predictor)  # so that an absent one is reported before anything starts
-        nodes["perception"]["model"] = str(arguments.model)
-    if arguments.predictor:
-        nodes["perception"]["predictor"] = arguments.predictor
-    if arguments.hand:
-        HandConfig().updated({"name": arguments.hand}, "--hand")  # likewise
-        nodes["perception"]["hand.name"] = arguments.hand
     if arguments.serve is not None:
         from foretouch.ros.nodes.bridge import foxglove_sdk
 
@@ -203,6 +195,16 @@ def _is_stated(stated: Sequence[tuple[str, Mapping[str, Any]]], node: str, param
     """Return whether the parameter file sets a parameter, which goes before what the source asks for; what is shown stays its own."""
     names = {name.rpartition("/")[2] for name, settings in stated if parameter in settings}
     return not parameter.startswith("scene.") and any(name == node or "*" in name for name in names)
+
+
+def _named(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what options name for perception: model, predictor and hand; an absent one is reported before anything starts."""
+    given = {"model": arguments.model, "predictor": arguments.predictor, "hand.name": arguments.hand}
+    if arguments.model:
+        load_model(arguments.model, arguments.predictor)
+    if arguments.hand:
+        HandConfig().updated({"name": arguments.hand}, "--hand")
+    return {name: str(value) for name, value in given.items() if value}
 
 
 def _remapped(own: str, topic: str, colours: str | None = None) -> list[str]:

@@ -181,7 +181,9 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     rule = "a depth image in a folder is NAME-depth or depth-NAME"
     notes = (f"{path}: left out: {left_out[0]}{more}; {rule}",) if left_out else ()
     masks = {str(file): mask for file, mask in pairs.masks.items()}
-    return Source(path, "clouds", len(clouds), partial(list, clouds), frame_id, masks=masks, notes=notes, remarks=given.doubts)
+    return Source(
+        path, "clouds", len(clouds), partial(list, clouds), frame_id, masks=masks, notes=notes, remarks=given.remarks
+    )
 
 
 def _recorded(
@@ -190,7 +192,7 @@ def _recorded(
     with Recording(path, camera) as recording:
         for message, decode in recording.clouds(topic):
             yield f"{path}[{message.index}]", decode
-        remarks[:] = [*camera.doubts, *recording.remarks(topic)]
+        remarks[:] = recording.remarks(topic)
 
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:

@@ -33,7 +33,7 @@ _LARGEST_SIDE: Final = 16_384  # [px]
 _WIDEST: Final = 4.0  # largest x / z of a pixel, 76 degrees from the axis
 _NARROWEST: Final = 0.01  # smallest x / z at the side of an image, 0.6 degrees from the axis
 _OFF_CENTRE: Final = 0.12  # of the side, between its middle and the principal point of a whole image
-_DOUBTED: Final = 0.08  # the same; whole images of 27 real cameras have 0.07 at most
+_REMARKED: Final = 0.08  # the same; whole images of 27 real cameras have 0.07 at most
 _UNDONE: Final = 0.5  # of the pixels must have a ray
 _TOGETHER: Final = 16_384  # pixels that are undone at a time, so that the arrays stay in the processor's cache
 _STEPS: Final = 12  # of Newton's method; three are usual
@@ -137,9 +137,9 @@ class CameraModel(Summarised):
         return max(abs((self.cx + 0.5) / self.width - 0.5), abs((self.cy + 0.5) / self.height - 0.5))
 
     @property
-    def doubt(self) -> str:
+    def remark(self) -> str:
         """Why it may not be the camera of whole images; "" without a reason."""
-        if self.off_centre <= _DOUBTED:
+        if self.off_centre <= _REMARKED:
             return ""
         place = f"cx, cy {self.cx:g}, {self.cy:g} are {self.off_centre:.0%} of the size off the middle of {self.width}x{self.height}"
         return f"K: {place}: if the image was cropped, subtract the first column and row from cx and cy"

@@ -122,7 +122,9 @@ def run_experiment(experiment: Experiment, arguments: argparse.Namespace) -> int
         print_json(summary)
     else:
         if arguments.preset == "smoke":
-            print_text("smoke: a quick trial with smaller settings; its numbers, also of baselines, are not those of the preset full")
+            print_text(
+                "smoke: a quick trial with smaller settings; its numbers, also of baselines, are not those of the preset full"
+            )
         _show(experiment, sweep.rows, summary)
     for key, error in sweep.failures.items():
         warn(f"{key}: {error}")

@@ -68,7 +68,9 @@ class DepthCamera:
     rectified: bool | None = None  # whether the images are rectified; by default by their names
     info_topic: str = ""  # of the camera infos in a recording
     color: str | Path = ""  # a file with the colours of the pixels of one image
-    doubts: list[str] = field(default_factory=list, compare=False)  # what is odd about the cameras of the images so far
+    remarks: list[str] = field(
+        default_factory=list, compare=False
+    )  # what is odd about the cameras of the images so far
 
     def __post_init__(self) -> None:
         twice = [name for name in self.stated if name in ("--intrinsics", "--camera-info", "--info-topic")]
@@ -177,8 +179,8 @@ class DepthCamera:
             if info.roi.width or info.roi.height:
                 return model
             whole = CameraModel.of(model.matrix, model.width, model.height, model.distortion)
-        if whole.doubt and not any(doubt.endswith(whole.doubt) for doubt in self.doubts):
-            self.doubts.append(f"{name}: {whole.doubt}")
+        if whole.remark and not any(one.endswith(whole.remark) for one in self.remarks):
+            self.remarks.append(f"{name}: {whole.remark}")
         return whole
 
     def _is_rectified(self, info: Any, name: str) -> bool:

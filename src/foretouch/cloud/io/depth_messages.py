@@ -258,7 +258,7 @@ class CameraInfos:
             self._known[place] = _Known(camera, key, now_s)
             if isinstance(camera, str):
                 return camera
-            return f"{self._infos}: {camera.doubt}" if camera.doubt and not info.roi.width else ""
+            return f"{self._infos}: {camera.remark}" if camera.remark and not info.roi.width else ""
         self._known[place] = new = _Known(camera, key, now_s, known.camera, known.seen_s, known.alternates_s)
         if known.before == camera and now_s - known.before_s < _PATIENCE_S:
             was_told, new.alternates_s = _alternates(known, now_s), now_s

@@ -211,7 +211,9 @@ def _command(manifest: Mapping[str, Any], experiment: Experiment, path: Path | N
     changed = {name: value for name, value in flattened(manifest["settings"]).items() if value != usual.get(name)}
     texts = {k: v if isinstance(v, str) else json.dumps(v, separators=(",", ":")) for k, v in changed.items()}
     overrides = [shlex.quote(f"{name}={text}") for name, text in texts.items()]
-    options = [f"--preset {preset}"] * bool(preset) + ([] if path is None else [f"--data {shlex.quote(str(path))}"])
+    options = ([f"--preset {preset}"] if preset else []) + (
+        [] if path is None else [f"--data {shlex.quote(str(path))}"]
+    )
     return " ".join([experiment.command, *options, *overrides])
 
 
