@@ -43,7 +43,7 @@ def main() -> None:
     rclpy.init()
     node = Node("report_grasp", namespace="/foretouch")
     reports = node.create_publisher(ExecutedGrasp, "executed_grasp", 10)
-    refusals = []  # "grasp ID: REASON", of each report of perception
+    refusals: list[str] = []  # "grasp ID: REASON", of each report of perception
 
     def diagnose(message: DiagnosticArray) -> None:
         pairs = [pair for status in message.status for pair in status.values]
