@@ -6,11 +6,12 @@ It executes the best grasp of the newest answer. Here the operator moves the han
 """
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.time import Time
 from rclpy.wait_for_message import wait_for_message
 
-from foretouch_msgs.msg import ExecutedGrasp, Grasp, TouchPrediction, TouchPredictionArray
+from foretouch_msgs.msg import ExecutedGrasp, Grasp, TouchPredictionArray
 
 TIMEOUT_S = 20.0
 
@@ -21,7 +22,10 @@ def execute(node: Node, grasp: Grasp) -> list[Time]:
     print("grasp at ({:.3f}, {:.3f}, {:.3f}) and ({:.3f}, {:.3f}, {:.3f}) m".format(*g1, *g2), flush=True)
     times = []
     for moment in ("begins to close", "holds the object", "begins to open"):
-        input(f"press Enter when the hand {moment} ")
+        try:
+            input(f"press Enter when the hand {moment} ")
+        except EOFError:
+            raise SystemExit("\nno terminal to press Enter in: start this by hand, or replace `execute`") from None
         times.append(node.get_clock().now())
     return times
 
@@ -39,10 +43,17 @@ def main() -> None:
     rclpy.init()
     node = Node("report_grasp", namespace="/foretouch")
     reports = node.create_publisher(ExecutedGrasp, "executed_grasp", 10)
+    refusals: list[str] = []  # "grasp ID: REASON", of each report of perception
+
+    def diagnose(message: DiagnosticArray) -> None:
+        pairs = [pair for status in message.status for pair in status.values]
+        refusals.extend(pair.value for pair in pairs if pair.key == "touches.last_refusal")
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", diagnose, 10)
     planned = answer(node)
     if not planned.predictions:
         raise SystemExit(f"no grasp: {planned.reason}")
-    grasp = planned.predictions[0].grasp
+    grasp, before = planned.predictions[0].grasp, planned.predictions[0].touches
     start, contact, release = (time.to_msg() for time in execute(node, grasp))
     report = ExecutedGrasp(header=planned.header, grasp_id=grasp.id, achieved=grasp.pose, success=True)
     report.header.stamp = node.get_clock().now().to_msg()
@@ -52,11 +63,16 @@ def main() -> None:
     end = node.get_clock().now() + rclpy.duration.Duration(seconds=TIMEOUT_S)
     while node.get_clock().now() < end:
         predictions = answer(node).predictions
-        if predictions and predictions[0].reference == TouchPrediction.TOUCHES:
+        for _ in range(10):
+            rclpy.spin_once(node, timeout_sec=0.0)
+        for refusal in refusals:
+            if refusal.startswith(f"grasp {grasp.id}: "):
+                raise SystemExit(f"refused: {refusal}")
+        if predictions and predictions[0].touches > before:
             print(f"the predictions are adapted to {predictions[0].touches} touches of this object")
             rclpy.shutdown()
             return
-    raise SystemExit("not adapted: touches.last_refusal of perception in /diagnostics has the reason")
+    raise SystemExit(f"not adapted within {TIMEOUT_S} s")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch benchmark touch`: a row is one command, and finished rows stay."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,9 +35,31 @@ def test_a_command_adds_the_row_of_an_own_predictor_and_keeps_the_others(call, w
     assert {(row["seeds"], row["samples"], row["objects"]) for row in rows} == {(0, 48, 8)}
     assert all(row["cpu_s"] > 0.0 and len(str(row["data"])) == 16 for row in rows)
     page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
-    assert "foretouch benchmark touch" in page
+    assert (
+        f"`foretouch benchmark touch --preset full --data {tmp_path / 'session'} 'models=" in page
+    )  # it can be repeated
     assert "own_predictors:Constant, given as it is" in page
     assert (tmp_path / "out" / "leaderboard.png").stat().st_size > 10_000
+
+
+def test_a_changed_predictor_is_fitted_again_and_finished_baselines_stay(call, words, tmp_path, monkeypatch) -> None:
+    module = tmp_path / "changed_mine.py"
+    monkeypatch.syspath_prepend(tmp_path)
+    errors = []
+    for level in ("0.0", "2500.0"):
+        module.write_text(
+            "import numpy as np\n\n\nclass Level:\n    def estimate(self, cloud, grasps, table=None):\n"
+            f"        return np.full((len(grasps), 50), {level})\n",
+            encoding="utf-8",
+        )
+        sys.modules.pop("changed_mine", None)
+        answer = call(*words, "--preset", "smoke", "--model", "changed_mine:Level", "--resume")
+        assert answer.status == 0, answer.err
+        rows = read_results(tmp_path / "out" / "results.csv")
+        errors.append([row["rmse"] for row in rows if row["predictor"] == "changed_mine:Level"])
+    assert "24 cells (16 reused)" in answer.out
+    assert "smoke: a quick trial" in answer.out
+    assert all(new < old for old, new in zip(*errors, strict=True) if old is not None)
 
 
 def test_first_touches_of_grasps_without_a_time_are_refused_before_anything_runs(call, words, tmp_path) -> None:

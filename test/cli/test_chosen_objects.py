@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`--mask`, `--pixel`, `--point` and `--picture` of `segment`, `grasp` and `predict`."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -107,3 +108,10 @@ def test_pictures_are_drawn_by_all_three(call, tmp_path):
         assert image.size[1] < heights[2] / 2
     call("grasp", TABLE, "--picture", some, "--panels", "image,bars").check_refused("panels: 'bars' is not one of")
     call("grasp", TABLE, "--panels", "image").check_refused("--panels: is for --picture")
+    (tmp_path / "both").mkdir()
+    for name in ("a.npz", "b.npz"):
+        shutil.copy(TABLE, tmp_path / "both" / name)
+    call("grasp", tmp_path / "both", "--picture", tmp_path / "two.png").check_refused(
+        "--picture: requires one cloud, and"
+    )
+    assert not (tmp_path / "two.png").exists()

@@ -31,6 +31,10 @@ def test_info_tells_counts_and_ranges_and_show_draws_the_samples_that_are_asked_
     answer = call("dataset", "show", dataset, "-o", tmp_path / "a.png", "-n", 2, "--json")
     assert answer.records[0]["samples"] == ["ball/000001", "sponge/000009"]
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    call("dataset", "edit", dataset, "--drop", "--id", "sponge/000009")
+    answer = call("dataset", "show", dataset, "-o", tmp_path / "a.png", "-n", 2, "--json")
+    call("dataset", "edit", dataset, "--undo")
+    assert answer.records[0]["dropped"] == ["sponge/000009"]
 
 
 def test_verify_repair_and_verify_again(call, dataset) -> None:

@@ -52,3 +52,15 @@ def test_the_recorded_image_of_the_examples_has_its_three_objects(capsys: pytest
         low, high = object_["bounds"]
         assert high[1] - low[1] == pytest.approx(height, abs=0.05)
     assert "Redistributions of source code must retain" in (folder / "LICENSE").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("in_folder", [False, True])
+def test_an_image_that_was_cropped_and_kept_its_camera_is_remarked(tmp_path, capsys, in_folder: bool) -> None:
+    seen = np.load(Path(__file__).parents[2] / "examples" / "data" / "table_depth.npz")
+    height, width = (int(0.83 * side) for side in seen["depth"].shape)
+    np.savez(tmp_path / "crop.npz", depth=seen["depth"][:height, :width], K=seen["K"])
+    main(["segment", str(tmp_path if in_folder else tmp_path / "crop.npz"), "--json"])
+    assert "crop: K: cx, cy" in (text := capsys.readouterr().err)
+    assert text.count("subtract the first column and row from cx and cy") == 1
+    main(["segment", str(Path(__file__).parents[2] / "examples" / "data" / "table_depth.npz"), "--json"])
+    assert "K:" not in capsys.readouterr().err

@@ -6,8 +6,10 @@ from typing import Any
 
 from calibrated_models import save_calibrated_contact, save_calibrated_network
 from every_case import every_case
+from own_predictors import Constant
 
 from foretouch.models import available_models
+from foretouch.models.own import save_own
 from foretouch.models.registry import find_card
 
 
@@ -30,6 +32,17 @@ def test_every_model_of_the_package_has_skill_files_and_intervals(call) -> None:
     assert "One pair of fingers" not in table  # the limits of a model stand behind its name
     assert "foretouch models NAME" in table
     assert "\n- One pair of fingers" in one
+    assert "the card holds no skills" not in one
+
+
+def test_a_model_of_own_code_is_not_damaged_and_says_what_it_needs(call, tmp_path) -> None:
+    card = save_own(tmp_path / "mine.json", Constant(), {})
+    answer = call("models", card, "--json")
+    assert (answer.status, answer.records[0]["status"]) == (1, "needs --predictor")
+    assert "--predictor own_predictors:Constant" in answer.records[0]["reason"]
+    shown = call("models", card, "--predictor", "own_predictors:Constant")
+    assert shown.status == 0
+    assert "the card holds no skills: `foretouch train` with release=true" in " ".join(shown.out.split())
 
 
 def test_coverage_is_that_of_the_card_and_a_flipped_byte_or_an_absent_file_is_found(call, tmp_path) -> None:

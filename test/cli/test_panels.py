@@ -98,12 +98,28 @@ def test_reasons_are_counted_by_kind_and_the_last_of_each_is_shown() -> None:
 def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
     touched = message(reference="touches", evidence=Evidence(touches=3), flags=("unfamiliar",))
     view = View(last=TouchPredictionArray(predictions=[touched]))
-    values = {"state": "active", "dropped.late": "12"}
+    values = {
+        "state": "active",
+        "dropped.late": "12",
+        "touches.refused.late_readings": "7",
+        "touches.refused.aborted": "0",
+    }
     view.nodes["/foretouch/touch_predictor"] = 1, "no camera", values
+    view.last.predictions[0].grasp.hand = "franka_hand"
     text = printed(live_panel(view, "title"))
     assert "±" not in text, "without a calibration there is no half width"
-    for words in ("2779", "2512–3497", "3 touches", "unfamiliar", "by contact-v3", "12 late", "no camera"):
+    for words in (
+        "2779",
+        "2512–3497",
+        "3 touches",
+        "unfamiliar",
+        "by contact-v3 for franka_hand",
+        "12 late",
+        "no camera",
+    ):
         assert words in text
+    assert "touch_predictor refused touches in total: 7 late readings " in text
+    assert "aborted" not in text
     assert "cloud only" in printed(live_panel(View(last=TouchPredictionArray(predictions=[message()])), "title"))
     refused = touch_message(refusal("bad_grasp", "grasp: too wide"), grasp_to_msg(GRASP))
     refused.grasp.g1.x = 1e160
@@ -141,9 +157,24 @@ def test_a_session_is_whole_with_objects_the_last_grasp_dead_sensors_and_keys() 
     words = screen(panel, 80)
     assert {"117", "dropped:", "819", "paused,", "full", "frozen:", "no", "can/000128"} <= words
     assert {"success", "[q]uit", "PAUSED", "predicted", "read", "tare", "executed_grasp", "points", "sponge"} <= words
-    assert {"2779", "±150", "2800", "1000", "MF", "100123"} <= words
+    assert {"2779", "±150", "2800", "17", "MF", "100123"} <= words
     text = printed(panel)
     assert "2 no tare, 128 recorded; pairing error 12 ms, at most 34" in text
+    assert "flags" not in text
+    session = SessionStatus(operator=state, last=(message(**BOUNDS, flags=("unfamiliar", "other_shape")), READINGS))
+    assert "the prediction's flags: unfamiliar, other shape" in printed(
+        record_panel(status, "foretouch record", session)
+    )
+    assert "disk full in 17 h" in text
+    status.disk_left = 4e5
+    assert "disk full in 5 days" in printed(record_panel(status, "", session))
+    for topic in status.topics:
+        topic.received = 0
+    assert "start `foretouch run`" not in printed(record_panel(status, "", session))
+    status.duration.sec = 5
+    assert "start `foretouch run`" in printed(record_panel(status, "", session))
+    for topic in status.topics:
+        topic.received = 100123
     status.reason, empty = "disk full", SessionStatus()
     assert {"100123", "disk"} <= screen(record_panel(status, "foretouch record", empty), 60)
 

@@ -23,7 +23,7 @@ from foretouch.cli.parser import CommandParser
 from foretouch.dataset.formats.rosbag2 import write_bag
 from foretouch.dataset.recordings.verify import verify_dataset
 from foretouch.dataset.source import open_source
-from foretouch.errors import ModelError
+from foretouch.errors import ConfigError, ModelError
 from foretouch.models.registry import find_card
 from foretouch.pipeline import Pipeline
 from foretouch.ros.nodes.monitor import View
@@ -251,6 +251,10 @@ def test_grasps_on_a_scene_are_planned_for_the_hand_that_it_names(tmp_path) -> N
 
     assert {"hand.name": "franka_hand", "hand.thumb_at": "g1"}.items() <= perception().items()
     assert "hand.name" not in perception("--params", str(tmp_path / "own.yaml"))  # the file's counts
+    option = perception("--params", str(tmp_path / "own.yaml"), "--hand", "robotiq_2f85")
+    assert {"hand.name": "robotiq_2f85", "hand.thumb_at": "g1"}.items() <= option.items()  # an option counts more
+    with pytest.raises(ConfigError, match=r"--hand: name: frnka_hand: .* did you mean franka_hand"):
+        perception("--hand", "frnka_hand")
 
 
 @pytest.mark.slow

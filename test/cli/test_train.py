@@ -107,3 +107,4 @@ def test_released_models_recognise_their_training_data_in_a_rebuilt_store(call, 
         assert record["PDC_TH"]["skill"] == load_model(model).card["skill"]["object"]["PDC_TH"]["skill"]
     table = call("evaluate", "default", tmp_path / "store")
     assert "samples by cross-validation" in " ".join(table.out.split())
+    assert "inside" not in table.out  # the card has none

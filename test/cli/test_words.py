@@ -69,6 +69,7 @@ def test_words_and_numbers_of_no_use_are_usage_errors_with_the_nearest_word(caps
         ("predict x --color=", "--color: is empty; give a value, or leave it out"),
         ("predict ''", "an argument: is empty; give a value, or leave it out"),
         ("run --source x --pictrue y.png", "--pictrue: there is no such option; did you mean --picture?"),
+        ("predict x --count 3", "--count: there is no such option; give --set grasp.count=K\n"),
         ("dataset import x --map y", "--map: there is no such option\n"),
         ("grasp x.pcd --target nearst", "'nearst' is not one of nearest, ", "did you mean nearest?"),
         ("dataset import x -o y --topic tactil=/x", "--topic: 'tactil=/x' is not KIND=NAME with a kind of clouds"),

@@ -2,6 +2,7 @@
 """Rank, execute, report, adapted: through the running graph, for each way of asking that docs/planners.md describes."""
 
 import itertools
+import re
 import select
 import time
 from pathlib import Path
@@ -155,9 +156,13 @@ def test_every_executed_grasp_of_every_way_of_asking_is_adapted_to(graph, scene_
 
 
 @pytest.mark.slow
-def test_the_example_reports_a_grasp_and_waits_until_it_is_adapted_to(lone_graph, scene_cloud, tmp_path):
+@pytest.mark.parametrize("read", [True, False])
+def test_the_example_reports_a_grasp_and_says_whether_it_is_adapted_to(lone_graph, scene_cloud, tmp_path, read):
     graph, card = lone_graph, save_calibrated_network(tmp_path, make_tracked_calibration())
     planner = Planner(graph, scene_cloud, model=card, **QUICK | {"pairing__wait_s": 10.0})
+    planner.look()
+    planner.grasp(planner.topic(), 1)  # an earlier touch of the object, which says nothing about the report
+    graph.until(lambda: planner.look().touches == 1)
     path = Path(__file__).parents[2] / "examples" / "report_grasp.py"
     process = graph.start(f"import runpy; runpy.run_path({str(path)!r}, run_name='__main__')")
 
@@ -173,13 +178,17 @@ def test_the_example_reports_a_grasp_and_waits_until_it_is_adapted_to(lone_graph
         planner.look()
     assert process.stdout.readline().startswith("grasp at (")
     feel(REST, 1.0)
-    for counts, seconds in ((REST, 0.2), (level(1), 0.5), (REST, 0.5)):
+    for counts, seconds in ((REST, 0.2), (level(1) if read else None, 0.5), (REST, 0.5)):
         process.stdin.write("\n")
         process.stdin.flush()
-        feel(counts, seconds)
+        time.sleep(seconds) if counts is None else feel(counts, seconds)
     while process.poll() is None:
         feel(REST, 0.1)
         planner.look()
     printed, logged = process.communicate()
-    assert process.returncode == 0, logged
-    assert "the predictions are adapted to 1 touches of this object" in printed
+    if not read:
+        assert process.returncode == 1
+        assert f"refused: grasp {re.search('reported grasp (.*)', printed)[1]}: " in logged
+    else:
+        assert process.returncode == 0, logged
+        assert "the predictions are adapted to 2 touches of this object" in printed

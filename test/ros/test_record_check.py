@@ -78,4 +78,5 @@ def test_the_check_of_the_page_finds_no_fault_of_the_simulated_hand(tmp_path):
     faults = [line for line in done.stdout.splitlines() if line.startswith("FAULT")]
     assert "ok    press thumb: TH answered" in done.stdout, done
     assert "ok    press middle finger: MF answered" in done.stdout
+    assert "ok    recorded as: hand unknown, camera unknown (--set identity.hand=NAME" in done.stdout
     assert all(line.split(":")[0].removeprefix("FAULT ") in OF_LOAD | {"camera rate"} for line in faults), faults

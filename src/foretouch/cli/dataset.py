@@ -27,6 +27,7 @@ from foretouch.dataset.store import Store, is_store
 from foretouch.doors import needs_extras
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.tactile.messages.table import TactileConfig
+from foretouch.types import DISCARDED
 
 _SHEET_SAMPLES = 12
 _ASSUMED = "; of the others the camera is taken to look straight down on it"
@@ -255,7 +256,9 @@ def _show(arguments: argparse.Namespace) -> int:
     else:
         title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
         save_series_sheet(arguments.out, selected, title, sensor)
-    record = {"out": str(arguments.out), "samples": [sample.id for sample in selected], "dead_taxels": sensor.dead}
+    dropped = [sample.id for sample in selected if DISCARDED in sample.flags]
+    record = {"out": str(arguments.out), "samples": [sample.id for sample in selected], "dropped": dropped}
+    record["dead_taxels"] = sensor.dead
     return print_result("drawn", record, as_json=arguments.json)
 
 

@@ -385,6 +385,8 @@ def _results(
         source = open_source(path, topic=arguments.topic, camera=depth_camera(arguments))
         for note in source.notes:
             warn(note)
+        if arguments.picture and source.kind != "recording" and len(source) > 1:
+            raise ConfigError(f"--picture: requires one cloud, and {path} holds {len(source)}: give one of its files")
         item = None
         for item in source:
             try:

@@ -46,9 +46,10 @@ def live_panel(view: View, title: str, waiting: str = "") -> Panel:
     if view.last is not None and view.last.predictions:
         parts.append(_predictions(view.last.predictions, view.sensor))
     for name, (_, _, values) in view.nodes.items():
-        dropped = ", ".join(f"{count} {why}" for why, count in _dropped(values).items())
-        if dropped:
-            parts.append(Text(f"{_short(name)} dropped in total: {dropped}"))
+        for what, counts in (("dropped", _dropped(values)), ("refused touches", _counts(values, "touches.refused."))):
+            if counts:
+                listed = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in counts.items())
+                parts.append(Text(f"{_short(name)} {what} in total: {listed}"))
     for kind, count in view.reasons.most_common(3):
         last = view.last_reasons.get(kind, kind)
         parts.append(Text(f"{count} x {'last: ' if count > 1 else ''}{last}", "yellow"))
@@ -84,7 +85,12 @@ def _nodes(nodes: Mapping[str, tuple[int, str, dict[str, str]]]) -> Table:
 
 def _dropped(values: Mapping[str, str]) -> dict[str, int]:
     """Return numbers of dropped messages by reason."""
-    counts = {key.removeprefix("dropped."): int(n) for key, n in values.items() if key.startswith("dropped.")}
+    return _counts(values, "dropped.")
+
+
+def _counts(values: Mapping[str, str], prefix: str) -> dict[str, int]:
+    """Return the counts above 0 whose names begin with a prefix, by the rest of the name."""
+    counts = {key.removeprefix(prefix): int(n) for key, n in values.items() if key.startswith(prefix)}
     return {reason: count for reason, count in counts.items() if count}
 
 
@@ -115,6 +121,8 @@ def _predictions(predictions: Sequence[TouchPrediction], sensor: Sensor) -> Tabl
     title = f"last prediction ({units})"
     if models:
         title += f" by {models}"
+    if hands := " ".join(sorted({prediction.grasp.hand for prediction in predictions if prediction.grasp.hand})):
+        title += f" for {hands}"
     return _table("object", "mm", *modalities, "based on", "flags", rows=rows, title=title)
 
 
@@ -140,9 +148,11 @@ def executed_table(prediction: TouchPrediction | None, sample: Sample, sensor: S
         [name, *(modality_text(touch[key], None, None, channels[key].text) for key in modalities)]
         for name, touch in read.items()
     ]
+    title = ""
     if prediction is not None and not prediction.status:
         rows.insert(2, ["inside", *_inside(prediction, read["read"], sensor or BIOTAC_SP, modalities)])
-    return _table("last grasp", *modalities, rows=rows)
+        title = f"the prediction's flags: {', '.join(prediction.flags).replace('_', ' ')}" if prediction.flags else ""
+    return _table("last grasp", *modalities, rows=rows, title=title)
 
 
 def _inside(message: TouchPrediction, read: Touch, sensor: Sensor, modalities: Sequence[str]) -> list[str]:

@@ -11,6 +11,7 @@ from foretouch.cli.inputs import add_options
 from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ModelError
+from foretouch.models.card import OWN, read_card
 from foretouch.models.registry import available_models, find_cards, load_model
 
 _SPLITS = ("random", "time", "object")
@@ -28,7 +29,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; the exit status is 1 if a model is missing or damaged."""
+    """Run the command; the exit status is 1 if a model is missing, damaged, or needs --predictor."""
     records = [_record(name, arguments.predictor) for name in arguments.models or available_models()]
     if arguments.json:
         for record in records:
@@ -42,8 +43,9 @@ def _record(name: str, predictor: str | None) -> dict[str, Any]:
     """Return the JSON object of one model; loading it compares every file with its hash in the card."""
     status = "missing"
     try:
-        find_cards(name)
-        status = "damaged"
+        paths, status = find_cards(name), "damaged"
+        if predictor is None and read_card(paths[0])["kind"] == OWN:
+            status = "needs --predictor"
         model = load_model(name, predictor)
     except ModelError as err:
         return {"status": status, "name": name, "reason": str(err)}
@@ -131,4 +133,7 @@ def _notes(record: Mapping[str, Any]) -> list[str]:
         note += f"the guaranteed coverage of one more is at most {calibration['promise']:.0%}"
         recorded = record["card"]["calibration"].get("rest") == "recorded tares"
         notes.append(note if recorded else f"{note}; not calibrated for predictions with a tare")
+    if not record["skill"]:
+        measure = "`foretouch train` with release=true or split=NAME measures them; or ask `foretouch evaluate`"
+        notes.append(f"the card holds no skills: {measure}")
     return [note for note in [*notes, *map(str, record["card"].get("limits", []))] if note]

@@ -20,6 +20,9 @@ _GROUPS: Final = {
 }
 """Names of options by the heading under which help lists them."""
 
+_SETTINGS: Final = {"count": "grasp.count=K"}
+"""Settings that some commands have as an option, and others with --set."""
+
 _NARROWEST: Final = 20  # columns of help, however narrow the terminal says that it is
 
 STATUSES: Final = (
@@ -151,7 +154,9 @@ class CommandParser(argparse.ArgumentParser):
         for word in words[: words.index("--")] if "--" in words else words:
             option = word.partition("=")[0]
             if re.match(r"--\w", word) and not any(name.startswith(option) for name in ("--help", *known)):
-                self.error(f"{option}: there is no such option{nearest(option, known, 0.6)}")  # the dashes are alike
+                setting = _SETTINGS.get(option.lstrip("-")) if "--set" in known else None
+                cure = f"; give --set {setting}" if setting else nearest(option, known, 0.6)  # the dashes are alike
+                self.error(f"{option}: there is no such option{cure}")
 
 
 def one_of(*known: str) -> Any:

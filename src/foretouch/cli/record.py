@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
 _SERVICES = "edit_grasp, next_object, pause_recording, undo_edit and stop_recording"
+_NO_GRAPH = "nothing comes from the graph: start `foretouch run` or perception.launch.py, or look at its namespace"
+_GRAPH_S = 5  # until somebody must publish the topics of the graph
 _REST_S = 5.0
 _PRESS_S = 15.0  # longest wait for an answer
 _OFFERED_S = 0.5  # how long a service is looked for
@@ -57,6 +59,8 @@ def record_panel(
     parts: list[RenderableType] = [_samples(status)]
     if status.reason:
         parts.append(Text(status.reason, "red"))
+    if without_graph(status):
+        parts.append(Text(_NO_GRAPH, "yellow"))
     parts += [*keys, _objects(session.operator)]
     if session.last is not None:
         parts.append(executed_table(*session.last, sensor))
@@ -77,18 +81,26 @@ def record_panel(
     return titled(title, [*parts, _topics(status.topics)])
 
 
+def without_graph(status: RecorderStatus) -> bool:
+    """Return whether a recording waits for a graph that does not run: no message of its topics came within 5 s."""
+    own = [topic.received for topic in status.topics if topic.topic.endswith(("/object_cloud", "/table", "/grasps"))]
+    return bool(own) and not any(own) and status.duration.sec >= _GRAPH_S
+
+
 def _counted(names: Sequence[str], counts: Sequence[int]) -> str:
     return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in zip(names, counts, strict=True))
 
 
 def _samples(status: RecorderStatus) -> Text:
     (minutes, seconds), left_s = divmod(status.duration.sec, 60), status.disk_left
-    left = f"full in {left_s / 60.0:.0f} min" if left_s < 1e6 else "full in weeks"
+    left = "weeks" if left_s >= 1e6 else f"{left_s / 60.0:.0f} min"
+    if 7200.0 <= left_s < 1e6:
+        left = f"{left_s / 86_400.0:.0f} days" if left_s >= 172_800.0 else f"{left_s / 3600.0:.0f} h"
     return Text.assemble(
         (f"{minutes}:{seconds:02d}  ", "bold" if status.recording else "dim"),
         (f"{status.samples} samples", "bold green" if status.samples else "bold"),
         f" + {status.unlabelled} without touch{f'; last {status.last_sample}' if status.last_sample else ''}",
-        f"  {status.bytes_written / 1e9:.3f} GB, disk {left}",
+        f"  {status.bytes_written / 1e9:.3f} GB, disk full in {left}",
     )
 
 
@@ -219,7 +231,7 @@ def run_check(node: RecorderNode, arguments: argparse.Namespace) -> int:
 
 def _check(node: RecorderNode, *, as_json: bool) -> list[CheckFinding]:
     """Print and return what is found."""
-    from foretouch.ros.sessions.check import CheckFeed, SessionCheck
+    from foretouch.ros.sessions.check import CheckFeed, CheckFinding, SessionCheck
 
     assert node.inputs is not None  # noqa: S101  an active node has them
     config = node.config
@@ -237,6 +249,8 @@ def _check(node: RecorderNode, *, as_json: bool) -> list[CheckFinding]:
             else:
                 print_text(f"ok    {finding.name}: {finding.found}")
 
+    models = f"hand {config.identity.hand}, camera {config.identity.camera}"
+    report([CheckFinding("recorded as", f"{models} (--set identity.hand=NAME, --set identity.camera=NAME)")])
     try:
         warn(f"keep the fingers open and still for {_REST_S:g} s")
         feed.receive(_REST_S)
@@ -282,7 +296,13 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
     def ended() -> bool:
         return not node.recording or time.monotonic() >= end or node.session_status().message.samples >= samples
 
+    warned = False
+
     def report() -> None:
+        nonlocal warned
+        if not warned and without_graph(node.status()):
+            warned = True
+            warn(_NO_GRAPH)
         if arguments.json:
             print_json(_status_record(node.status(), node.session_status()))
 

@@ -25,6 +25,7 @@ from foretouch.cli.parser import CommandParser
 from foretouch.cli.screen import terminal, watch
 from foretouch.doors import at_work, needs_extras
 from foretouch.errors import ConfigError, ForetouchError
+from foretouch.grasp import HandConfig
 from foretouch.models import History, TouchModel, load_model
 from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file
@@ -68,7 +69,7 @@ def add_arguments(parser: CommandParser) -> None:
         metavar="N",
         help="end after N answered clouds (default: at the end of the source, or Ctrl-C)",
     )
-    add_options(parser, "--model", "--predictor", "--params")
+    add_options(parser, "--hand", "--model", "--predictor", "--params")
     parser.add_argument(
         "--picture",
         metavar="PNG",
@@ -154,14 +155,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     from foretouch.ros.sessions.playlist import cloud_is_object
 
     stated = list(nodes_of_file(arguments.params)) if arguments.params else []
-    perception: dict[str, Any] = {}
+    perception = _named(arguments)
     nodes: dict[str, dict[str, Any]] = {"perception": perception}
     arguments.remapped = []  # what perception receives
-    if arguments.model:
-        load_model(arguments.model, arguments.predictor)  # so that an absent one is reported before anything starts
-        nodes["perception"]["model"] = str(arguments.model)
-    if arguments.predictor:
-        nodes["perception"]["predictor"] = arguments.predictor
     if arguments.serve is not None:
         from foretouch.ros.nodes.bridge import foxglove_sdk
 
@@ -199,6 +195,16 @@ def _is_stated(stated: Sequence[tuple[str, Mapping[str, Any]]], node: str, param
     """Return whether the parameter file sets a parameter, which goes before what the source asks for; what is shown stays its own."""
     names = {name.rpartition("/")[2] for name, settings in stated if parameter in settings}
     return not parameter.startswith("scene.") and any(name == node or "*" in name for name in names)
+
+
+def _named(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what options name for perception: model, predictor and hand; an absent one is reported before anything starts."""
+    given = {"model": arguments.model, "predictor": arguments.predictor, "hand.name": arguments.hand}
+    if arguments.model:
+        load_model(arguments.model, arguments.predictor)
+    if arguments.hand:
+        HandConfig().updated({"name": arguments.hand}, "--hand")
+    return {name: str(value) for name, value in given.items() if value}
 
 
 def _remapped(own: str, topic: str, colours: str | None = None) -> list[str]:

@@ -68,7 +68,7 @@ class Source:
     others: tuple[Topic, ...] = ()  # further topics of a recording
     masks: Mapping[str, Path] = field(default_factory=dict)  # of depth images of a folder, by name of the entry
     camera: DepthCamera = DepthCamera()  # what is known besides of the depth images of a recording
-    remarks: list[str] = field(default_factory=list)  # at the end of an iteration: depth images without their colours
+    remarks: list[str] = field(default_factory=list)  # at the end of an iteration: images without colours, odd cameras
     notes: tuple[str, ...] = ()  # what its `metadata.yaml` states otherwise than its files, and images left out
 
     def __len__(self) -> int:
@@ -181,7 +181,9 @@ def _clouds(path: Path, frame_id: str, given: DepthCamera) -> Source:
     rule = "a depth image in a folder is NAME-depth or depth-NAME"
     notes = (f"{path}: left out: {left_out[0]}{more}; {rule}",) if left_out else ()
     masks = {str(file): mask for file, mask in pairs.masks.items()}
-    return Source(path, "clouds", len(clouds), partial(list, clouds), frame_id, masks=masks, notes=notes)
+    return Source(
+        path, "clouds", len(clouds), partial(list, clouds), frame_id, masks=masks, notes=notes, remarks=given.remarks
+    )
 
 
 def _recorded(

@@ -21,7 +21,7 @@ from foretouch.report.panels import FINGER_COLOURS, PAGE_INCH, SMALL_PT, TEXT_PT
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
-from foretouch.types import Bool, Cloud, Float64, Grasp, Prediction, Sample, Touch, assumed_table
+from foretouch.types import DISCARDED, Bool, Cloud, Float64, Grasp, Prediction, Sample, Touch, assumed_table
 from foretouch.types.scene import Object
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[Sample], sensor: Sens
             target=Object.of(sample.object, sample.cloud, assumed_table(sample.cloud)),
             rest=sample.tare,
             read=sample.touch,
-            title=sample.id,
+            title=f"{sample.id}, dropped" if DISCARDED in sample.flags else sample.id,
         )
         for sample in samples
     ]

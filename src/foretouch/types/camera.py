@@ -33,6 +33,7 @@ _LARGEST_SIDE: Final = 16_384  # [px]
 _WIDEST: Final = 4.0  # largest x / z of a pixel, 76 degrees from the axis
 _NARROWEST: Final = 0.01  # smallest x / z at the side of an image, 0.6 degrees from the axis
 _OFF_CENTRE: Final = 0.12  # of the side, between its middle and the principal point of a whole image
+_REMARKED: Final = 0.08  # the same; whole images of 27 real cameras have 0.07 at most
 _UNDONE: Final = 0.5  # of the pixels must have a ray
 _TOGETHER: Final = 16_384  # pixels that are undone at a time, so that the arrays stay in the processor's cache
 _STEPS: Final = 12  # of Newton's method; three are usual
@@ -123,13 +124,25 @@ class CameraModel(Summarised):
             raise CloudError(f"K: shape {given.shape} is neither (3, 3) nor the four numbers fx, fy, cx, cy")
         fx, fy, cx, cy = given.tolist()
         camera = cls(width, height, fx, fy, cx, cy, () if distortion is None else distortion)
-        off = max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5))
-        if off > _OFF_CENTRE:
+        if camera.off_centre > _OFF_CENTRE:
             raise CloudError(
                 f"K: cx, cy {cx:g}, {cy:g} are far from the middle of {width}x{height}: is it of another image size? "
                 "(for a part of an image pass a CameraModel, or the whole image with zeros around the part)"
             )
         return camera
+
+    @property
+    def off_centre(self) -> float:
+        """Distance between the principal point and the middle of the image, as a fraction of the side; the larger of the two."""
+        return max(abs((self.cx + 0.5) / self.width - 0.5), abs((self.cy + 0.5) / self.height - 0.5))
+
+    @property
+    def remark(self) -> str:
+        """Why it may not be the camera of whole images; "" without a reason."""
+        if self.off_centre <= _REMARKED:
+            return ""
+        place = f"cx, cy {self.cx:g}, {self.cy:g} are {self.off_centre:.0%} of the size off the middle of {self.width}x{self.height}"
+        return f"K: {place}: if the image was cropped, subtract the first column and row from cx and cy"
 
     @property
     def shape(self) -> tuple[int, int]:

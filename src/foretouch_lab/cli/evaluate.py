@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def show_scores(result: Mapping[str, Any]) -> None:
     """Print a result of `evaluate_model` as a table: a row for the model and each baseline, by modality."""
-    rows = []
+    rows, columns = [], ["", "predictor", "rmse", "rmse / range", "skill", "inside"]
     for key in result["scores"]["model"]:
         for name, by_modality in result["scores"].items():
             score = by_modality[key]
@@ -81,7 +81,12 @@ def show_scores(result: Mapping[str, Any]) -> None:
     unfamiliar = "" if result["unfamiliar"] is None else f"{result['unfamiliar']} flagged unfamiliar, "
     title = (
         f"{result['samples']} {_SCORED[result['scored']]}, {unfamiliar}split {result['split']}; "
-        f"rmse in the unit of the sensor; skill: 0 is the mean of the split's training side, 1 is perfect; inside: share of readings in the 90 % interval"
+        f"rmse in the unit of the sensor; skill: 0 is the mean of the split's training side, 1 is perfect, averaged over "
+        "the taxels of a modality, so that a lower rmse may have a lower skill"
     )
+    if any(row[-1] for row in rows):
+        title += "; inside: share of readings in the 90 % interval"
+    else:
+        rows, columns = [row[:-1] for row in rows], columns[:-1]
     # Short heads: on 80 columns, as in a pipe, longer ones would cut the names of the baselines.
-    print_table(title, ["", "predictor", "rmse", "rmse / range", "skill", "inside"], rows)
+    print_table(title, columns, rows)

@@ -114,13 +114,17 @@ def run_experiment(experiment: Experiment, arguments: argparse.Namespace) -> int
         "finished": sweep.finished,
         "failed": sweep.failures,
         "rows": len(sweep.rows),
-        "figures": _report(experiment, sweep.rows, arguments.out, sweep.origin) if sweep.rows else [],
+        "figures": _report(experiment, sweep.rows, arguments.out, sweep.origin(arguments.data)) if sweep.rows else [],
         "data_sha256": sweep.data_sha256,
         "path": str(arguments.out),
     }
     if arguments.json:
         print_json(summary)
     else:
+        if arguments.preset == "smoke":
+            print_text(
+                "smoke: a quick trial with smaller settings; its numbers, also of baselines, are not those of the preset full"
+            )
         _show(experiment, sweep.rows, summary)
     for key, error in sweep.failures.items():
         warn(f"{key}: {error}")

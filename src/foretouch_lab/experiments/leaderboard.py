@@ -13,6 +13,7 @@ calibrated on the held-out errors of the other folds, in the same way for all (`
 import hashlib
 import json
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -103,9 +104,10 @@ def _cells(settings: LeaderboardSettings, data: Dataset) -> list[Cell]:
         rule = f"needs the time of every grasp, and {data.name} holds grasps without one; leave it out: 'splits=[{others}]'"
         raise ConfigError(f"splits: {FIRST_TOUCHES}: {rule}")
     parts = dict.fromkeys(predicted_once(split) for split in settings.splits)
+    versions = {name: _version(name) for name in settings.models}
     return [
         Cell(
-            re.sub(r"[^\w.+-]", "_", f"{name}+{split}{number}+seed{seed}"),
+            re.sub(r"[^\w.+-]", "_", f"{name}{versions.get(name, '')}+{split}{number}+seed{seed}"),
             {"predictor": name, "split": split, "fold": fold.name, "seed": seed},
         )
         for seed in settings.seeds
@@ -126,13 +128,13 @@ def _run(cell: Cell, settings: LeaderboardSettings, data: Dataset) -> list[Row]:
 
 @lru_cache(maxsize=1)
 def _held_out(name: str, data: Dataset, seed: int, training_fraction: float) -> tuple[HeldOut, str]:
-    """Return what predicts folds, and the hash of its settings or weights; kept for the next fold of the same predictor."""
+    """Return what predicts folds, and its hash (`_hash_of`); kept for the next fold of the same predictor."""
     if name in _BASELINES:
         samples = held_out_samples(data, seed).samples
         predict = partial(predict_part, PREDICTORS[name](training_fraction), samples, seed)
         return HeldOut(predict, "baseline"), ""
     model = _model(name, seed)
-    return hold_out(model, data), _hash_of(model)
+    return hold_out(model, data), _hash_of(name, model)
 
 
 def _model(name: str, seed: int) -> Any:
@@ -149,12 +151,22 @@ def _model(name: str, seed: int) -> Any:
         raise ConfigError(f"models: {err}; nor is it a model folder or module:attribute") from err
 
 
-def _hash_of(model: Any) -> str:
-    """Return 16 digits of a hash: of the settings of a recipe, or of the weights of a model that is used as it is."""
+def _version(name: str) -> str:
+    """Return what keeps cells of a changed model apart: the hash of its weights or its code; "" for a recipe, whose name says all."""
+    model = _model(name, 0)
+    return "" if isinstance(model, RunConfig) else f"+{_hash_of(name, model)}"
+
+
+def _hash_of(name: str, model: Any) -> str:
+    """Return 16 digits of a hash: of a recipe's settings, a model's weights, or the file that the predictor of a name is in."""
+    if isinstance(model, TouchModel):
+        return model.sha256[:16]
     if isinstance(model, RunConfig):
-        settings = json.dumps(model.to_mapping(), sort_keys=True)
-        return hashlib.sha256(settings.encode()).hexdigest()[:16]
-    return model.sha256[:16] if isinstance(model, TouchModel) else ""
+        content = json.dumps(model.to_mapping(), sort_keys=True).encode()
+    else:
+        module = sys.modules.get(name.partition(":")[0]) or sys.modules[type(model).__module__]
+        content = Path(str(module.__file__)).read_bytes()
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 _Scored = dict[str, dict[str, list[Evaluation]]]  # by split and predictor, one of each seed

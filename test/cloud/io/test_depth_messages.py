@@ -182,7 +182,7 @@ def test_topics() -> None:
 def test_an_image_is_paired_by_frame_and_size() -> None:
     infos = CameraInfos()
     assert infos.add(info(), 0.0) == ""
-    assert infos.add(info(height=720, width=1280), 0.0) == ""
+    assert "cx, cy 423.5, 239.5 are 17% of the size off" in infos.add(info(height=720, width=1280), 0.0)
     assert infos.camera(FRAME, (480, 848), 0.1) == CAMERA
     assert infos.camera(FRAME, (720, 1280), 0.1).shape == (720, 1280)
     assert infos.camera(FRAME, (480, 848), 1e6) == CAMERA  # latched: sent once
@@ -274,3 +274,14 @@ def test_the_messages_of_rosbags_and_rclpy() -> None:
         == CAMERA
     )
     assert np.array_equal(decode_depth(msg.CompressedImage(format="16UC1; compressedDepth png", data=compressed(png(pixels)).data)), pixels)  # fmt: skip
+
+
+def test_the_camera_of_a_cropped_image_is_remarked_once_and_one_that_states_its_part_is_not() -> None:
+    k = [500.0, 0.0, 239.5, 0.0, 500.0, 179.5, 0.0, 0.0, 1.0]
+    infos, cropped = CameraInfos(), info(height=300, width=400, k=k, p=[0.0] * 12)
+    report = infos.add(cropped, 0.0)
+    assert "cx, cy 239.5, 179.5 are 10% of the size off the middle of 400x300" in report
+    assert infos.add(cropped, 0.1) == ""
+    stated = info(height=360, width=480, k=k, p=[0.0] * 12)
+    stated.roi.width, stated.roi.height = 400, 300
+    assert CameraInfos().add(stated, 0.0) == ""

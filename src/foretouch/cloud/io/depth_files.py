@@ -10,7 +10,7 @@ import io
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -68,6 +68,9 @@ class DepthCamera:
     rectified: bool | None = None  # whether the images are rectified; by default by their names
     info_topic: str = ""  # of the camera infos in a recording
     color: str | Path = ""  # a file with the colours of the pixels of one image
+    remarks: list[str] = field(
+        default_factory=list, compare=False
+    )  # what is odd about the cameras of the images so far
 
     def __post_init__(self) -> None:
         twice = [name for name in self.stated if name in ("--intrinsics", "--camera-info", "--info-topic")]
@@ -169,12 +172,16 @@ class DepthCamera:
     def _model(self, stated: Mapping[str, Any], shape: tuple[int, int], name: str) -> CameraModel:
         """Return the camera of images of a shape and a name."""
         if self.intrinsics:
-            return CameraModel.of(self.intrinsics, shape[1], shape[0])
-        info = _as_info(stated, shape)
-        model = camera_model(info, rectified=self._is_rectified(info, name))
-        if info.roi.width or info.roi.height:
-            return model
-        return CameraModel.of(model.matrix, model.width, model.height, model.distortion)
+            whole = CameraModel.of(self.intrinsics, shape[1], shape[0])
+        else:
+            info = _as_info(stated, shape)
+            model = camera_model(info, rectified=self._is_rectified(info, name))
+            if info.roi.width or info.roi.height:
+                return model
+            whole = CameraModel.of(model.matrix, model.width, model.height, model.distortion)
+        if whole.remark and not any(one.endswith(whole.remark) for one in self.remarks):
+            self.remarks.append(f"{name}: {whole.remark}")
+        return whole
 
     def _is_rectified(self, info: Any, name: str) -> bool:
         """Return whether P describes an image; a `CloudError` if it is another camera than K, and nothing says which is meant."""

@@ -237,7 +237,7 @@ class CameraInfos:
         """Add a `sensor_msgs/CameraInfo` that arrived at a time [s], of any clock.
 
         Returns:
-            What to report about it: that the camera changed, or why it is refused; "" if it is as before.
+            What to report about it: that the camera changed, what is odd about it, or why it is refused; "" if it is as before.
         """
         key, place = _key(info), _place(info)
         known = self._known.get(place)
@@ -256,7 +256,9 @@ class CameraInfos:
             if len(self._known) == _MOST:
                 del self._known[next(iter(self._known))]
             self._known[place] = _Known(camera, key, now_s)
-            return camera if isinstance(camera, str) else ""
+            if isinstance(camera, str):
+                return camera
+            return f"{self._infos}: {camera.remark}" if camera.remark and not info.roi.width else ""
         self._known[place] = new = _Known(camera, key, now_s, known.camera, known.seen_s, known.alternates_s)
         if known.before == camera and now_s - known.before_s < _PATIENCE_S:
             was_told, new.alternates_s = _alternates(known, now_s), now_s

@@ -308,9 +308,9 @@ class Recording:
         yield from released(float("inf"))
 
     def remarks(self, topic: str) -> list[str]:
-        """Return what became of the colours of the depth images of a topic that were read, if some are without."""
+        """Return what is odd about the camera of the depth images of a topic that were read, and whether some are without colours."""
         remark = self.colours.remark
-        return [f"{self.path}: {self.color_topic(topic)}: {remark}"] if remark else []
+        return [*self._camera.remarks, *([f"{self.path}: {self.color_topic(topic)}: {remark}"] if remark else [])]
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Iterate over the messages of some topics, or of all, in order of their bag time.

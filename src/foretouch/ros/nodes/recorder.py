@@ -42,9 +42,9 @@ from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 class IdentityConfig(Settings, read_only=True):
     """Which hand and which camera: a dataset holds recordings of one of each."""
 
-    hand: str = setting("shadow_hand", "Model of the hand")
+    hand: str = setting("unknown", "Model of the hand")
     hand_serial: str = setting("", "Serial number of the hand")
-    camera: str = setting("realsense", "Model of the camera")
+    camera: str = setting("unknown", "Model of the camera")
     camera_serial: str = setting("", "Serial number of the camera")
 
     def __post_init__(self) -> None:

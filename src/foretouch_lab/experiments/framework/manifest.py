@@ -191,27 +191,30 @@ def write_summary(
     write_text(file, "\n".join(lines[:-1]) + "\n")
 
 
-def origin_of(manifest: Mapping[str, Any], experiment: Experiment) -> list[str]:
-    """Return lines on the command, version, data and missing cells of a sweep."""
+def origin_of(manifest: Mapping[str, Any], experiment: Experiment, path: Path | None = None) -> list[str]:
+    """Return lines on the command, version, data (`--data PATH`; None: the usual ones) and missing cells of a sweep."""
     session, cells = manifest["sessions"][-1], manifest["cells"]
     version = f"foretouch {session['foretouch']} ({str(session['git'])[:7]}), {session['started'][:10]}"
     data = f"{session['cpu']}; sha256 of the data `{manifest['data']['sha256'][:16]}`"
-    lines = [f"`{_command(manifest, experiment)}`; {version}, {data}", ""]
+    lines = [f"`{_command(manifest, experiment, path)}`; {version}, {data}", ""]
     if cells["finished"] != cells["all"]:
         finished = f"**{cells['finished']} of {cells['all']} cells are finished.**"
         lines += [f"{finished} The tables contain these alone.", ""]
     return lines
 
 
-def _command(manifest: Mapping[str, Any], experiment: Experiment) -> str:
-    """Return the command of a sweep with the settings that differ from its preset."""
+def _command(manifest: Mapping[str, Any], experiment: Experiment, path: Path | None) -> str:
+    """Return the command of a sweep with its data and the settings that differ from its preset."""
     preset = manifest["preset"]
     base = experiment.resolve(preset, {}) if preset in experiment.presets else experiment.settings()
     usual = flattened(json.loads(json.dumps(base.to_mapping())))
     changed = {name: value for name, value in flattened(manifest["settings"]).items() if value != usual.get(name)}
     texts = {k: v if isinstance(v, str) else json.dumps(v, separators=(",", ":")) for k, v in changed.items()}
     overrides = [shlex.quote(f"{name}={text}") for name, text in texts.items()]
-    return " ".join([experiment.command, *([f"--preset {preset}"] if preset else []), *overrides])
+    options = ([f"--preset {preset}"] if preset else []) + (
+        [] if path is None else [f"--data {shlex.quote(str(path))}"]
+    )
+    return " ".join([experiment.command, *options, *overrides])
 
 
 def _parsed(text: str | None) -> Any:

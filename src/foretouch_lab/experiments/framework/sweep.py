@@ -142,10 +142,9 @@ class Sweep:
             self._manifest["cells"] = {"all": len(self.cells), "finished": self.finished, "failed": self.failures}
             manifests.write_manifest(out, self._manifest)
 
-    @property
-    def origin(self) -> list[str]:
-        """Lines of `summary.md` on how the results were made."""
-        return manifests.origin_of(self._manifest, self._experiment)
+    def origin(self, data: Path | None = None) -> list[str]:
+        """Return lines of `summary.md` on how the results were made, from data that the command names or from the usual ones."""
+        return manifests.origin_of(self._manifest, self._experiment, data)
 
 
 def _cells(experiment: Experiment, settings: Settings, data: Any) -> list[Cell]:

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import DatasetError, ModelError
-from foretouch.models.card import card_sensor, read_card
+from foretouch.models.card import OWN, card_sensor, read_card
 from foretouch.models.registry import find_cards, load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import Ranges
@@ -130,10 +130,12 @@ def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[s
     kind = split.partition("/")[0]
     tables = {MODEL: card["skill"], **card["baselines"]}
     if any(kind not in table for table in tables.values()):
+        cure = f"train with release=true (scores by cross-validation) or split='{kind}/{part}'"
+        if card["kind"] == OWN:
+            cure = "foretouch.evaluate(predictor, samples) fits it again in each fold"
+        rule = f"was trained on all samples that the split {split} tests, so that none is held out"
         raise DatasetError(
-            f"{name}: was trained on all samples that the split {split} tests, so that none is held out; train with"
-            f" release=true (scores by cross-validation) or split='{kind}/{part}', evaluate other data, or score them"
-            " nevertheless with --training-scores"
+            f"{name}: {rule}; {cure}, evaluate other data, or score them nevertheless with --training-scores"
         )
     scores = {
         who: {key: {"coverage90": None, **row} for key, row in table[kind].items()} for who, table in tables.items()
