@@ -131,6 +131,50 @@ CURES: dict[str, tuple[Callable[[Any], object], str]] = {
     "a prediction too many": (lambda v: v.touch[5], "they are 0 to 2"),
     "grasps by name": (lambda v: v.grasps["x"], "Grasps[x]"),
     "grasps by a long mask": (lambda v: v.grasps[np.ones(9, bool)], "selects no rows"),
+    **{
+        f"grasps[{rows}]": (lambda v, rows=rows: v.grasps[rows], "Grasps[")
+        for rows in (True, 1.0, "1", [0.9, 1.9], ["1"], [True, False], [[0]], [0, 3], None, slice("a"), slice(0, 2, 0))
+    },
+    "predictions by a number that is none": (lambda v: v.touch[[True, False]], "mask of shape (3,)"),
+    **{
+        f"cloud.take({rows})": (lambda v, rows=rows: v.scene.cloud.take(rows), "selects no rows")
+        for rows in (3, [1.5], np.ones((3, 3), bool), [10**9])
+    },
+    "rows in place of more": (lambda v: v.grasps.put([0, 1], v.grasps[:1]), "1 rows do not take the place of 2"),
+    "rows of another type": (lambda v: v.grasps.put([0], v.touch), "other: Predictions is not Grasps"),
+    "nothing to join": (lambda _: ft.Grasps.join([]), "takes at least one"),
+    "single grasps to join": (lambda v: ft.Grasps.join(list(v.grasps)), "parts: Grasp is not Grasps"),
+    **{
+        f"{name}={value!r}": (lambda v, name=name, value=value: v.grasps.replace(**{name: value}), f"{name}: ")
+        for name, value in (("flags", "late"), ("flags", ["a", "b", "c"]), ("object_id", 3), ("status", None), ("way", "franka"))
+    },
+    **{
+        f"a grasp of {name}={value!r}": (lambda v, name=name, value=value: replace(v.grasps[0], **{name: value}), f"{name}: ")
+        for name, value in (("flags", "late"), ("flags", None), ("object_id", 3), ("way", "franka_hand"))
+    },
+    "predictions with a flag that is a text": (lambda v: v.touch.replace(flags="late"), "such as ('late',)"),
+    **{
+        f"flagged({flag!r}, {rows!r})": (lambda v, flag=flag, rows=rows: v.touch.flagged(flag, rows), "mask of shape (3,)")
+        for flag, rows in ((7, True), ("late", 1), ("late", "E"), ("late", [True]), ("late", [0, 1, 2]))
+    },
+    "predictions without grasps": (lambda v: ft.Predictions(v.touch.value, None, v.touch.channels), "not Grasps"),
+    "predictions without channels": (lambda v: ft.Predictions(v.touch.value, v.grasps), "pass channels"),
+    "a status that is none": (lambda v: ft.Predictions.refused(v.grasps, v.touch.channels, None, ""), "status: None"),
+    "a prediction of grasps": (lambda v: ft.Prediction(v.grasps), "rows: Grasps is not Predictions"),
+    "a prediction of numbers": (lambda v: ft.Prediction.of(v.grasps[0], v.touch.value[0]), "value: ndarray is not a Touch"),
+    "rows of unknown number": (lambda _: ft.Grasps.unknown(-1), "count: -1 is not a number of grasps"),
+    **{
+        f"{name} moved by {pose!r}": (lambda v, name=name, pose=pose: {"plane": v.scene.table, "grasp": v.grasps[0], "grasps": v.grasps}[name].moved(pose), "pose: ")
+        for name in ("plane", "grasp", "grasps") for pose in (None, "x", np.eye(3), np.full((4, 4), np.nan))
+    },
+    "heights of pairs": (lambda v: v.scene.table.height(np.zeros((5, 2))), "xyz: shape (5, 2) is not (..., 3)"),
+    "near by a text": (lambda v: v.scene.near([0, 0, 1], tolerance_m="1cm"), "tolerance_m: 1cm is not of numbers"),
+    "near by complex numbers": (lambda v: v.scene.near(np.array([1j, 0, 1])), "complex numbers"),
+    "a sure object": (lambda v: replace(v.scene.objects[0], confidence=2.0), "confidence: 2 is not between 0 and 1"),
+    **{
+        f"a sample of {name}={value!r}": (lambda _, name=name, value=value: ft.Sample("1", "mug", **{name: value}), f"{name}: ")
+        for name, value in (("cloud", np.zeros((4, 3))), ("grasp", None), ("flags", "late"), ("extra", "x"), ("candidates", 3))
+    },
     "grasps.width": (lambda v: v.grasps.width, "did you mean width_m?"),
     "grasp.width": (lambda v: v.grasps[0].width, "did you mean width_m?"),
     "scene.object": (lambda v: v.scene.object, "did you mean objects?"),

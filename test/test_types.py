@@ -107,6 +107,13 @@ def test_take_by_mask_equals_take_by_index(rng: np.random.Generator) -> None:
     assert (by_mask.frame_id, by_mask.stamp_ns) == ("camera", 7)
 
 
+def test_heights_and_poses_of_lists_and_whole_numbers_are_those_of_their_floats() -> None:
+    plane = Plane([0.0, 0.0, 1.0], -0.5)
+    for points in ([[0, 0, 1], [0, 0, 1000]], np.array([[0, 0, 1], [0, 0, 1000]], np.uint16)):
+        np.testing.assert_array_equal(plane.height(points), [0.5, 999.5])
+    assert plane.moved(np.eye(4).tolist()).coefficients.tolist() == plane.coefficients.tolist()
+
+
 def test_a_normalised_plane_the_middle_and_width_of_a_grasp_and_the_vector_of_a_touch() -> None:
     plane = Plane.from_coefficients([0, 0, 2, -2.5])
     np.testing.assert_allclose(plane.coefficients, [0, 0, 1, -1.25])
