@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`import foretouch`: the library as the front door."""
 
+import copy
 import gc
 import subprocess
 import sys
@@ -206,6 +207,9 @@ def test_predictions_adapt_to_touches_and_go_on_from_a_file(scene, tmp_path):
     hand.touched(target, grasps[0], read, stamp_ns=second)
     after = hand.predict(target, grasps, stamp_ns=2 * second)
     assert (after[0].reference, after[0].evidence.touches) == ("touches", 1)
+    twin = copy.copy(hand)
+    twin.touched(target, grasps[0], read, stamp_ns=2 * second)
+    assert (hand.touches, twin.touches) == (1, 2)
     moved = after.value[0] - vision.value[0]
     assert (moved < 0).all()
     hand.save(tmp_path / "hand.safetensors")
@@ -282,10 +286,7 @@ def test_the_drawing_has_what_is_given(scene, tmp_path):
     assert [len(ft.draw(scene, grasps, touch, panels=one).axes) for one in (["image"], ["touch"], ["above", "side"])] == [1, 3, 2]  # fmt: skip
     with pytest.raises(ConfigError, match="panels: 'bars' is not one of image, touch, above, side"):
         ft.draw(scene, panels=["bars"])
-    for wrong, rule in (
-        ({"panels": "image"}, "panels: image is not a list"),
-        ({"rest": 3}, "rest: int is not a Touch"),
-    ):
+    for wrong, rule in (({"panels": "image"}, "panels: image is not a list"), ({"rest": 3}, "rest: 3 is not a Touch")):
         with pytest.raises(ft.ForetouchError, match=rule):
             ft.draw(scene, **wrong)
     assert len(ft.draw(scene).axes) == 1
@@ -323,6 +324,9 @@ def test_rotations_that_are_not_given_are_computed_on_an_object_as_the_planner_d
     np.testing.assert_allclose(between.rotation, touch.grasps.rotation[2], atol=1e-12)
     on_a_table = model.predict(target.cloud, bare, table=target.plane)
     np.testing.assert_array_equal(on_a_table.value, touch.value)
+    counts = model.estimate(target, planned).counts
+    np.testing.assert_allclose(model.estimate(target, bare).counts, counts, atol=1e-6)
+    np.testing.assert_array_equal(model.estimate(target.cloud, planned, target.plane).counts, counts)
     without = model.predict(target.cloud, bare)
     assert without.status.tolist() == ["bad_grasp"] * 4
     assert without.reason[0] == (

@@ -12,6 +12,7 @@ command line, the YAML reader and the ROS parameters are all derived from this d
 """
 
 import dataclasses
+import functools
 import inspect
 import math
 import re
@@ -150,6 +151,12 @@ class Settings:
     def __post_init__(self) -> None:
         for info in _own_infos(type(self)):
             object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
+        for name, hint in _group_hints(type(self)).items():
+            item, is_list, optional = _analyse(hint)
+            value = getattr(self, name)
+            groups = value if is_list and isinstance(value, tuple) else (value,)
+            if not all(isinstance(group, item) for group in groups):
+                object.__setattr__(self, name, _field_value(hint, value, "", name))
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
@@ -348,6 +355,14 @@ def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
     return result
 
 
+@functools.cache
+def _group_hints(cls: type[Settings]) -> dict[str, Any]:
+    """Return the annotations of the fields that are groups of settings, or lists of them."""
+    hints = typing.get_type_hints(cls)
+    names = [f.name for f in dataclasses.fields(cls)]
+    return {name: hints[name] for name in names if issubclass(_analyse(hints[name])[0], Settings)}
+
+
 _INFOS: dict[type, tuple[SettingInfo, ...]] = {}
 
 
@@ -401,8 +416,12 @@ def _checked(info: SettingInfo, value: Any) -> Any:
 
 
 def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
+    if getattr(value, "shape", None) == ():
+        value = value.item()  # of NumPy
     if type(value) is int and not -(2**63) <= value < 2**63:
         raise ConfigError(f"{name}: a whole number of {value.bit_length()} bits is not a number that can be used")
+    if info.type is str and isinstance(value, Path):
+        value = str(value)
     if info.type is float and type(value) is int:
         value = float(value)
     if not isinstance(value, info.type) or (info.type is not bool and type(value) is bool):
