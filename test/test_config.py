@@ -99,8 +99,8 @@ def test_a_group_is_on_with_braces_off_with_null_and_refused_with_nothing_after_
 
 
 def test_groups_of_plain_data_numbers_of_numpy_and_paths_are_settings_as_in_a_mapping() -> None:
-    config = PipelineConfig.from_mapping({"grasp.count": 3, "hand.name": "mine.yaml"})
-    assert PipelineConfig(grasp={"count": np.int64(3)}, hand={"name": Path("mine.yaml")}) == config
+    config = PipelineConfig.from_mapping({"grasp.count": 3, "model": "mine.json"})
+    assert PipelineConfig(grasp={"count": np.int64(3)}, model=Path("mine.json")) == config
     assert PipelineConfig().replace(grasp={"count": 3}).grasp == config.grasp
 
 

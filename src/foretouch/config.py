@@ -152,7 +152,7 @@ class Settings:
         for info in _own_infos(type(self)):
             object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
         for name, hint in _group_hints(type(self)).items():
-            item, is_list, optional = _analyse(hint)
+            item, is_list, _ = _analyse(hint)
             value = getattr(self, name)
             groups = value if is_list and isinstance(value, tuple) else (value,)
             if not all(isinstance(group, item) for group in groups):

@@ -38,7 +38,7 @@ from foretouch.errors import (
 from foretouch.grasp.axis import with_rotations
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import closing_faults, joined_faults
-from foretouch.grasp.reach import DEFAULT_REACH, OFF_OBJECT, ReachConfig, in_the_air, reach_faults
+from foretouch.grasp.reach import DEFAULT_REACH, EXECUTED_M, OFF_OBJECT, ReachConfig, in_the_air, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.card import OWN, card_sensor
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_pressures
@@ -336,7 +336,7 @@ class TouchModel(Summarised):
         check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range or wider than any hand.
         columns = with_rotations(Grasps.of(grasps), cloud, table, _POSING)
-        faults = _faults(columns, cloud, 2.0, limits.max_range_m)
+        faults = _faults(columns, cloud, EXECUTED_M, limits.max_range_m)
         usable = np.array([not fault for fault in faults], np.bool_)
         estimate = self._estimate(cloud, columns.take(usable), table)  # a useless cloud is named first
         require_none(faults)
