@@ -86,7 +86,9 @@ def write(
     for name, facts_given in (("hand", hand), ("camera", camera)):
         if not isinstance(facts_given, Mapping | None):
             raise DatasetError(f'{name}: {shown(facts_given)} is not a mapping, such as {{"name": "mine"}}')
-    require_type(limits, ObjectLimits, "limits", "not ObjectLimits, such as ObjectLimits(max_extent_m=1.0)", DatasetError)
+    require_type(
+        limits, ObjectLimits, "limits", "not ObjectLimits, such as ObjectLimits(max_extent_m=1.0)", DatasetError
+    )
     if not isinstance(samples, Iterable) or getattr(samples, "ndim", None) == 0:
         raise DatasetError(f"samples: {type(samples).__name__} is neither a dataset, such as open(PATH), nor a list")
     if isinstance(samples, SampleSet):
