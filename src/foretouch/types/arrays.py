@@ -204,8 +204,31 @@ def column(*row: int | None, default: Any = _REQUIRED, dtype: Any = np.float64) 
     return field(default=default, metadata={_ROW: (row, dtype)})
 
 
+class ByValue:
+    """Base of dataclasses that are equal where all their fields are, arrays number by number; NaN equals NaN."""
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        if type(self) is not type(other):
+            return NotImplemented
+        return all(_equal(getattr(self, name), getattr(other, name)) for name in _fields(type(self)))
+
+    def __hash__(self) -> int:
+        first = getattr(self, _fields(type(self))[0])
+        return hash((type(self).__name__, (first + 0.0).tobytes()))  # of -0 as of 0
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        if one.dtype != object:
+            return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+        one, other = one.tolist(), other.tolist()
+    return bool(one == other or (one != one and other != other))  # noqa: PLR0124
+
+
 @dataclass(frozen=True, eq=False)
-class Columns:
+class Columns(ByValue):
     """Base of frozen dataclasses with columns; what is given is converted, and one value fills a column.
 
     Raises:
@@ -320,6 +343,9 @@ _layout: "Callable[[Any], tuple[tuple[str, tuple[int | None, ...], Any], ...]]" 
     lambda kind: tuple((info.name, *info.metadata[_ROW]) for info in fields(kind) if _ROW in info.metadata)
 )
 """Returns name, shape of a row and dtype of each column of a class."""
+
+
+_fields: "Callable[[Any], tuple[str, ...]]" = cache(lambda kind: tuple(info.name for info in fields(kind)))
 
 
 def _fits(shape: tuple[int, ...], row: tuple[int | None, ...]) -> bool:

@@ -14,6 +14,7 @@ from foretouch.types.arrays import (
     FLAGS,
     TEXT,
     Bool,
+    ByValue,
     Columns,
     Float64,
     Objects,
@@ -38,7 +39,7 @@ _MIRRORED = np.abs(TILTS[:, None] + TILTS).argmin(axis=1)  # place of the negati
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WayIn(Summarised):
+class WayIn(Summarised, ByValue):
     """How a described hand comes to a grasp (`foretouch.grasp.hand` finds it)."""
 
     approach: (
@@ -73,7 +74,7 @@ _PLAN_TYPES: Final = {"status": TEXT, "reason": TEXT}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Grasp(Summarised):
+class Grasp(Summarised, ByValue):
     """Two contacts and the orientation of the hand (P2: g1, g2, R).
 
     Raises:

@@ -10,7 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ForetouchError, TactileError, checked, require_type, shown
-from foretouch.types.arrays import FLAGS, TEXT, Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain
+from foretouch.types.arrays import (
+    FLAGS,
+    TEXT,
+    Bool,
+    ByValue,
+    Columns,
+    Float64,
+    Objects,
+    Rows,
+    column,
+    numbers,
+    objects,
+    plain,
+)
 from foretouch.types.channels import NO_CHANNELS, Channel, Channels
 from foretouch.types.grasps import Grasp, Grasps
 from foretouch.types.summary import Summarised, counted, names_of, spread, summary_text, tallied
@@ -29,7 +42,7 @@ _NO_CHANNELS: Final = "not Channels, such as model.sensor.channels"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Touch(Summarised):
+class Touch(Summarised, ByValue):
     """A tactile reading of both fingers, in the unit of each channel.
 
     Raises:
@@ -288,6 +301,12 @@ class Prediction(Summarised):
         columns = {name: [cell] for name, cell in others.items()}
         ends = {"lower": lower.values[None], "upper": upper.values[None]}
         return cls(Predictions(value.values[None], Grasps.of([grasp]), value.channels, **ends, **columns))
+
+    def __eq__(self, other: object) -> bool:
+        return self.row == other.row if isinstance(other, Prediction) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.row)
 
     def __getitem__(self, name: str) -> Predicted:
         """Return values and bounds of a channel, such as E: (F, N), or (F,) of a scalar; a `TactileError` names an unknown one."""
