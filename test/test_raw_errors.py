@@ -18,6 +18,7 @@ from every_case import every_case
 from recording_builders import record
 
 import foretouch as ft
+from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.types.channels import Channel, Channels
 
 VALUES: dict[str, Any] = {
@@ -236,6 +237,10 @@ CURES: dict[str, tuple[Callable[[Any], object], str]] = {
         f"samples[{number!r}]": (lambda v, number=number: v.samples[number], "choose some by subset([0, 2])")
         for number in ("can", 1.0, None, True, [0, 1])
     },
+    "a camera of a matrix": (lambda _: DepthCamera(intrinsics=np.eye(3)), "--intrinsics: ndarray is not the numbers"),
+    "a card without data": (lambda v: ft.TouchModel(v.model.predictor, {**v.model.card, "data": 3}), "card: data: 3 is not a mapping"),
+    "a mark without rows": (lambda v: v.touch.marked("late"), "is no name with True"),
+    "a touch of several grasps": (lambda v: v.history.touched(v.scene.objects[0], v.grasps, v.touch[0].value), "grasp: Grasps is not a Grasp"),
     "grasps.width": (lambda v: v.grasps.width, "did you mean width_m?"),
     "grasp.width": (lambda v: v.grasps[0].width, "did you mean width_m?"),
     "scene.object": (lambda v: v.scene.object, "did you mean objects?"),

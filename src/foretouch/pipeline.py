@@ -254,7 +254,8 @@ class Pipeline(Summarised):
             CloudError: If a scene, a cloud or background is passed for the object.
         """
         require_object(target)
-        require_type(rng, np.random.Generator | None, "rng", "not a numpy.random.Generator", ConfigError)
+        kinds = np.random.Generator | np.random.RandomState | None
+        require_type(rng, kinds, "rng", "not a generator, such as numpy.random.default_rng(0)", ConfigError)
         require_type(held, tuple | None, "held", "not a grasp and a number, as of GraspHold", ConfigError)
         slide_m = scalar(slide_m, "slide_m", ConfigError)
         if target.background:

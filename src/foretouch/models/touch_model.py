@@ -98,6 +98,7 @@ class TouchModel(Summarised):
         if not isinstance(card, Mapping) or not all(isinstance(card.get(name), str) for name in ("name", "sha256")):
             rule = "holds no name and sha256; load_model(…) reads a card, and calibrate(predictor, samples) makes one"
             raise ModelError(f"card: {shown(card)} {rule}")
+        require_type(card.get("data", {}), Mapping, "card: data", "not a mapping", ModelError)
         if not isinstance(calibration, Calibration | None):
             raise ModelError(f"calibration: {type(calibration).__name__} is not a Calibration")
         self.name: str = card["name"]
@@ -618,7 +619,8 @@ class History(Summarised):
         same = self.is_current(target, _SAME_OBJECT_M) if same_object is None else same_object
         values = self.model.usable_values(reading, "touched")
         tdc = _checked_tdc(tdc, self.model)
-        if isinstance(target, Object) and getattr(grasp, "object_id", "") not in ("", target.id):
+        require_type(grasp, Grasp, "grasp", "not a Grasp, such as grasps[0]", GraspError)
+        if isinstance(target, Object) and grasp.object_id not in ("", target.id):
             raise GraspError(f"grasp: is on object {grasp.object_id}, not on {target.id}, the target")
         if estimate is None:
             estimate = self.model.estimate_executed(cloud, [grasp], table=table)

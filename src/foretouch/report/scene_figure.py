@@ -129,12 +129,12 @@ def _new_page(panels: Sequence[str], scene: Scene | Object, grasp: Grasp | None)
 
 
 def _are_of(touch: Predictions, grasps: Grasps, number: int) -> bool:
-    """Return whether a prediction has the contacts of a grasp, or none, as of messages."""
-    own = touch.grasps[number : number + 1]
-    pairs = ((own.g1, grasps.g1[number]), (own.g2, grasps.g2[number]))
-    return len(own) == 1 and all(
-        np.isnan(mine).any() or np.allclose(mine, other, atol=_SAME_M) for mine, other in pairs
-    )
+    """Return whether a prediction has the contacts of a grasp; also one without contacts, as of messages, or without values."""
+    if number >= len(touch):
+        return False
+    ends = [(getattr(of, name)[number] for of in (touch.grasps, grasps)) for name in ("g1", "g2")]
+    near = all(np.isnan(own).any() or np.allclose(own, wanted, atol=_SAME_M) for own, wanted in ends)
+    return near or not touch.ok[number]
 
 
 def _check_types(scene: object, touch: object, panels: Sequence[str]) -> None:

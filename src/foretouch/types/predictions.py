@@ -242,7 +242,8 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
     def marked(self, *marks: tuple[str, Bool | bool]) -> "Predictions":
         """Return the same predictions with further flags: pairs of a name, and of the rows as of `flagged`; in this order."""
         flags = self.flags.tolist()
-        for flag, rows in marks:
+        for mark in marks:
+            flag, rows = mark if isinstance(mark, tuple) and len(mark) == 2 else (mark, None)
             mask = _mask_of(flag, rows, len(flags))
             if mask is False or not (mask is True or mask.any()):
                 continue
@@ -416,6 +417,13 @@ class Prediction(Summarised):
 def _mask_of(flag: Any, rows: Any, count: int) -> Bool | bool:
     """Return the rows that get a flag; a `TactileError` if they are no mask, or the flag is no text."""
     mask = rows if isinstance(rows, bool) else np.asarray(rows)
+    if (
+        not isinstance(mask, bool)
+        and mask.dtype.kind in "iu"
+        and mask.shape == (count,)
+        and np.isin(mask, (0, 1)).all()
+    ):
+        mask = mask.astype(np.bool_)
     fits = isinstance(mask, bool) or (mask.dtype.kind == "b" and mask.shape in ((), (count,)))
     if not fits or not isinstance(flag, str):
         rule = f"is no name with True, or with a mask of shape ({count},)"

@@ -121,7 +121,7 @@ class Object(Summarised):
             if array.shape != shape:
                 raise CloudError(f"{name}: shape {array.shape} is not {shape}; Object.of(id, cloud, plane) computes it")
             object.__setattr__(self, name, array)
-        if self.confidence is not None and not 0.0 <= self.confidence <= 1.0:
+        if self.confidence is not None and (self.confidence < 0.0 or self.confidence > 1.0):
             raise CloudError(f"confidence: {self.confidence:g} is not between 0 and 1")
 
     def _summary(self) -> tuple[str, dict[str, str]]:
