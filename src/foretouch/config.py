@@ -12,7 +12,6 @@ command line, the YAML reader and the ROS parameters are all derived from this d
 """
 
 import dataclasses
-import functools
 import inspect
 import math
 import re
@@ -151,7 +150,7 @@ class Settings:
     def __post_init__(self) -> None:
         for info in _own_infos(type(self)):
             object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
-        for name, hint in _group_hints(type(self)).items():
+        for name, hint in _GROUPS[type(self)].items():
             item, is_list, _ = _analyse(hint)
             value = getattr(self, name)
             groups = value if is_list and isinstance(value, tuple) else (value,)
@@ -355,15 +354,8 @@ def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
     return result
 
 
-@functools.cache
-def _group_hints(cls: type[Settings]) -> dict[str, Any]:
-    """Return the annotations of the fields that are groups of settings, or lists of them."""
-    hints = typing.get_type_hints(cls)
-    names = [f.name for f in dataclasses.fields(cls)]
-    return {name: hints[name] for name in names if issubclass(_analyse(hints[name])[0], Settings)}
-
-
 _INFOS: dict[type, tuple[SettingInfo, ...]] = {}
+_GROUPS: dict[type, dict[str, Any]] = {}  # annotations of the fields that are groups, of a class in `_INFOS`
 
 
 def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
@@ -371,10 +363,11 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
     if cls in _INFOS:
         return _INFOS[cls]
     hints = typing.get_type_hints(cls)
-    infos = []
+    infos, groups = [], dict[str, Any]()
     for f in dataclasses.fields(cls):
         item, is_list, optional = _analyse(hints[f.name])
         if issubclass(item, Settings):
+            groups[f.name] = hints[f.name]
             continue
         if "description" not in f.metadata:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
@@ -385,7 +378,7 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
         infos.append(
             SettingInfo(name=f.name, default=f.default, type=item, is_list=is_list, optional=optional, **facts)
         )
-    _INFOS[cls] = tuple(infos)
+    _GROUPS[cls], _INFOS[cls] = groups, tuple(infos)
     return _INFOS[cls]
 
 
