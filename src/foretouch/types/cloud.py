@@ -334,11 +334,11 @@ class Plane(Summarised):
         Returns:
             (...) [m], positive on the normal's side.
         """
-        if not isinstance(xyz, np.ndarray) or xyz.dtype.kind != "f":
-            xyz = numbers(xyz, "xyz", CloudError)
-        if xyz.shape[-1:] != (3,):
-            raise CloudError(f"xyz: shape {xyz.shape} is not (..., 3)")
-        return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
+        floating = isinstance(xyz, np.ndarray) and xyz.dtype.kind == "f"
+        points: Floating = xyz if floating else numbers(xyz, "xyz", CloudError)
+        if points.shape[-1:] != (3,):
+            raise CloudError(f"xyz: shape {points.shape} is not (..., 3)")
+        return points @ self.normal.astype(points.dtype) + points.dtype.type(self.offset)
 
 
 ASSUMED_TABLE = Plane(np.array([0.0, 0.0, 1.0]), -1.27, assumed=True)

@@ -299,7 +299,7 @@ class Prediction(Summarised):
         for name, end in {"value": value, "lower": lower or value, "upper": upper or value}.items():
             require_type(end, Touch, name, "not a Touch, such as Touch(values, model.sensor.channels)", TactileError)
         lower, upper = (end or Touch.unknown(value.channels) for end in (lower, upper))
-        columns = {name: [cell] for name, cell in others.items()}
+        columns: dict[str, Any] = {name: [cell] for name, cell in others.items()}
         ends = {"lower": lower.values[None], "upper": upper.values[None]}
         return cls(Predictions(value.values[None], Grasps.of([grasp]), value.channels, **ends, **columns))
 
