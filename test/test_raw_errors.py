@@ -202,7 +202,7 @@ CURES: dict[str, tuple[Callable[[Any], object], str]] = {
         lambda v: v.history.touched(v.scene.objects[0], v.grasps[0], v.touch[0].value, estimate=v.model.estimate(v.scene.objects[0], v.grasps)), "need (1, 50)",
     ),
     "a touch of another object": (
-        lambda v: v.history.touched(replace(v.scene.objects[0], id="other"), v.grasps[0], v.touch[0].value), "grasp: is on object 1, not on other",
+        lambda v: v.history.touched(replace(v.scene.objects[0], id="7"), v.grasps[0], v.touch[0].value), "grasp: is on object 1, not on 7",
     ),
     "an estimate of another sensor": (lambda v: v.history.at().adapt(ft.Estimate(np.zeros((1, 3)))), "need (1, 50)"),
     "an estimate with a list": (lambda v: v.history.at().adapt(ft.Estimate(np.zeros((1, 50)), familiar=[1.0])), "(1,) of bool"),

@@ -620,8 +620,9 @@ class History(Summarised):
         values = self.model.usable_values(reading, "touched")
         tdc = _checked_tdc(tdc, self.model)
         require_type(grasp, Grasp, "grasp", "not a Grasp, such as grasps[0]", GraspError)
-        if isinstance(target, Object) and grasp.object_id not in ("", target.id):
-            raise GraspError(f"grasp: is on object {grasp.object_id}, not on {target.id}, the target")
+        own = target.id if isinstance(target, Object) else ""
+        if own != grasp.object_id and own.isdecimal() and grasp.object_id.isdecimal():  # in a scene, not a dataset
+            raise GraspError(f"grasp: is on object {grasp.object_id}, not on {own}, the target")
         if estimate is None:
             estimate = self.model.estimate_executed(cloud, [grasp], table=table)
         else:
