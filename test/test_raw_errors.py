@@ -264,6 +264,7 @@ CURES: dict[str, tuple[Callable[[Any], object], str]] = {
     "plan(counts=)": (lambda v: ft.plan(v.scene.objects[0], counts=3), "did you mean count?"),
     "a hand of another name": (lambda v: ft.plan(v.scene.objects[0], hand="franka"), "franka_hand"),
     "segment of a file": (lambda _: ft.segment("table.npz"), "Cloud.from_depth(depth, K)"),
+    "a model that is loaded": (lambda v: ft.load_model(v.model), "model: TouchModel is not the name or the path of a model"),
     "a model of another name": (lambda _: ft.load_model("contact_v3"), "did you mean contact-v3?"),
     "a function that is a method": (lambda _: ft.predict, "load_model().predict(object, grasps)"),
     "a name that is not there": (lambda _: ft.segmentation, "did you mean segment?"),

@@ -463,8 +463,8 @@ def place_and_size(cloud: Cloud) -> Float64:
     return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
 
 
-@dataclass(frozen=True, eq=False)
-class Readings:
+@dataclass(frozen=True, eq=False, repr=False)
+class Readings(Summarised):
     """What a hand had read at a time, for predictions on one object; of `History.at`."""
 
     model: TouchModel  # by whose predictions the readings are explained
@@ -473,6 +473,10 @@ class Readings:
     same_object: bool  # whether they are on the object that was touched last
     tared: bool  # whether a tare was taken shortly before
     tdc: Float64 | None = None  # (F,) TDC of the fingers at that time [counts]; the latest one if None
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        facts = {"model": briefly(self.model), "reference": self.reference}
+        return f"{counted(self.evidence.readings, 'reading')}, {self.evidence.touches} of the object", facts
 
     def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
         """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
