@@ -2,6 +2,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 from every_case import every_case, every_refusal
 
@@ -95,6 +96,12 @@ def test_a_group_is_on_with_braces_off_with_null_and_refused_with_nothing_after_
         with pytest.raises(ConfigError, match="--set: light: is empty"):
             Scene().updated(parse_overrides([text]), "--set")
     assert Scene(light=Inner()).updated(parse_overrides(["light=null"]), "--set") == Scene()
+
+
+def test_groups_of_plain_data_numbers_of_numpy_and_paths_are_settings_as_in_a_mapping() -> None:
+    config = PipelineConfig.from_mapping({"grasp.count": 3, "model": "mine.json"})
+    assert PipelineConfig(grasp={"count": np.int64(3)}, model=Path("mine.json")) == config
+    assert PipelineConfig().replace(grasp={"count": 3}).grasp == config.grasp
 
 
 def test_lists_of_groups_absent_groups_and_a_field_without_setting() -> None:

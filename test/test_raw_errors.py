@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from every_case import every_case
 from recording_builders import record
 
 import foretouch as ft
+from foretouch.cloud.io.depth_files import DepthCamera
+from foretouch.types.channels import Channel, Channels
 
 VALUES: dict[str, Any] = {
     "10^400": 10**400, "text": "x", "None": None, "half a pair": "half \ud800", "complex": 1j, "NaN": float("nan"), "list": [],
@@ -119,6 +122,10 @@ def test_no_value_that_is_written_raises_an_error_of_python(
     )
 
 
+OTHER = ft.Touch(
+    np.ones(8), Channels("mine", "0" * 64, ("TH", "MF"), (Channel("P", 4, "N", 0.0, 9.0, 1, True, 1.0, 1.0),))
+)
+
 CURES: dict[str, tuple[Callable[[Any], object], str]] = {
     "prediction.PDC": (lambda v: v.touch[0].PDC, 'write prediction["PDC"]'),
     "predictions.E": (lambda v: v.touch.E, 'write predictions["E"]'),
@@ -131,6 +138,109 @@ CURES: dict[str, tuple[Callable[[Any], object], str]] = {
     "a prediction too many": (lambda v: v.touch[5], "they are 0 to 2"),
     "grasps by name": (lambda v: v.grasps["x"], "Grasps[x]"),
     "grasps by a long mask": (lambda v: v.grasps[np.ones(9, bool)], "selects no rows"),
+    **{
+        f"grasps[{rows}]": (lambda v, rows=rows: v.grasps[rows], "Grasps[")
+        for rows in (True, 1.0, "1", [0.9, 1.9], ["1"], [True, False], [[0]], [0, 3], None, slice("a"), slice(0, 2, 0))
+    },
+    "predictions by a number that is none": (lambda v: v.touch[[True, False]], "mask of shape (3,)"),
+    **{
+        f"cloud.take({rows})": (lambda v, rows=rows: v.scene.cloud.take(rows), "selects no rows")
+        for rows in (3, [1.5], np.ones((3, 3), bool), [10**9])
+    },
+    "rows in place of more": (lambda v: v.grasps.put([0, 1], v.grasps[:1]), "1 rows do not take the place of 2"),
+    "rows of another type": (lambda v: v.grasps.put([0], v.touch), "other: Predictions is not Grasps"),
+    "nothing to join": (lambda _: ft.Grasps.join([]), "takes at least one"),
+    "single grasps to join": (lambda v: ft.Grasps.join(list(v.grasps)), "parts: Grasp is not Grasps"),
+    **{
+        f"{name}={value!r}": (lambda v, name=name, value=value: v.grasps.replace(**{name: value}), f"{name}: ")
+        for name, value in (("flags", "late"), ("flags", ["a", "b", "c"]), ("object_id", 3), ("status", None), ("way", "franka"))
+    },
+    **{
+        f"a grasp of {name}={value!r}": (lambda v, name=name, value=value: replace(v.grasps[0], **{name: value}), f"{name}: ")
+        for name, value in (("flags", "late"), ("flags", None), ("object_id", 3), ("way", "franka_hand"))
+    },
+    "predictions with a flag that is a text": (lambda v: v.touch.replace(flags="late"), "such as ('late',)"),
+    **{
+        f"flagged({flag!r}, {rows!r})": (lambda v, flag=flag, rows=rows: v.touch.flagged(flag, rows), "mask of shape (3,)")
+        for flag, rows in ((7, True), ("late", 1), ("late", "E"), ("late", [True]), ("late", [0, 1, 2]))
+    },
+    "predictions without grasps": (lambda v: ft.Predictions(v.touch.value, None, v.touch.channels), "not Grasps"),
+    "predictions without channels": (lambda v: ft.Predictions(v.touch.value, v.grasps), "pass channels"),
+    "a status that is none": (lambda v: ft.Predictions.refused(v.grasps, v.touch.channels, None, ""), "status: None"),
+    "a prediction of grasps": (lambda v: ft.Prediction(v.grasps), "rows: Grasps is not Predictions"),
+    "a prediction of numbers": (lambda v: ft.Prediction.of(v.grasps[0], v.touch.value[0]), "value: ndarray is not a Touch"),
+    "rows of unknown number": (lambda _: ft.Grasps.unknown(-1), "count: -1 is not a number of grasps"),
+    **{
+        f"{name} moved by {pose!r}": (lambda v, name=name, pose=pose: {"plane": v.scene.table, "grasp": v.grasps[0], "grasps": v.grasps}[name].moved(pose), "pose: ")
+        for name in ("plane", "grasp", "grasps") for pose in (None, "x", np.eye(3), np.full((4, 4), np.nan))
+    },
+    "heights of pairs": (lambda v: v.scene.table.height(np.zeros((5, 2))), "xyz: shape (5, 2) is not (..., 3)"),
+    "near by a text": (lambda v: v.scene.near([0, 0, 1], tolerance_m="1cm"), "tolerance_m: 1cm is not of numbers"),
+    "near by complex numbers": (lambda v: v.scene.near(np.array([1j, 0, 1])), "complex numbers"),
+    "a sure object": (lambda v: replace(v.scene.objects[0], confidence=2.0), "confidence: 2 is not between 0 and 1"),
+    **{
+        f"a sample of {name}={value!r}": (lambda _, name=name, value=value: ft.Sample("1", "mug", **{name: value}), f"{name}: ")
+        for name, value in (("cloud", np.zeros((4, 3))), ("grasp", None), ("flags", "late"), ("extra", "x"), ("candidates", 3))
+    },
+    **{
+        f"estimate of {cloud!r}": (lambda v, cloud=cloud: v.model.estimate(cloud, v.grasps), "nor a Cloud of one")
+        for cloud in (None, np.zeros((9, 3)))
+    },
+    "estimate with a list for the table": (lambda v: v.model.estimate(v.scene.objects[0], v.grasps, [0, 0, 1, -1]), "from_coefficients"),
+    "estimate without rotations": (lambda v: v.model.estimate(v.scene.objects[0].cloud, v.bare), "pass an object of a scene, or table"),
+    "limits of a number": (lambda v: v.model.predict(v.scene.objects[0], v.grasps, limits=0.5), "limits: 0.5 is not ObjectLimits"),
+    "reach of a number": (lambda v: v.model.predict(v.scene.objects[0], v.grasps, reach=0.2), "reach: 0.2 is not a ReachConfig"),
+    "the same as a name": (lambda v: v.model.is_same("contact-v3"), "other: contact-v3 is not a TouchModel"),
+    **{
+        f"history at {name}={value!r}": (lambda v, name=name, value=value: v.history.at(**{name: value}), start)
+        for name, value, start in (
+            *(("stamp_ns", value, "stamp: ") for value in ("x", 1.5, -1, True, 10**40)), ("tared", "no", "tared: "), ("tdc", "warm", "tdc: "), ("tdc", [1, 2, 3], "tdc: "),
+        )
+    },
+    "a second tare that is a text": (lambda v: v.history.tare("x", stamp_ns=2), "tare: str is not a Touch"),
+    "a touch with the estimate of all grasps": (
+        lambda v: v.history.touched(v.scene.objects[0], v.grasps[0], v.touch[0].value, estimate=v.model.estimate(v.scene.objects[0], v.grasps)), "need (1, 50)",
+    ),
+    "a touch of another object": (
+        lambda v: v.history.touched(replace(v.scene.objects[0], id="7"), v.grasps[0], v.touch[0].value), "grasp: is on object 1, not on 7",
+    ),
+    "an estimate of another sensor": (lambda v: v.history.at().adapt(ft.Estimate(np.zeros((1, 3)))), "need (1, 50)"),
+    "an estimate with a list": (lambda v: v.history.at().adapt(ft.Estimate(np.zeros((1, 50)), familiar=[1.0])), "(1,) of bool"),
+    "a history of nothing saved": (lambda v: ft.History.from_tensors(v.model, None), "tensors: None is not arrays by name"),
+    "draw of the touch of other grasps": (lambda v: ft.draw(v.scene, v.grasps[1:], v.touch), "touch: predicts another grasp than number 0"),
+    "draw with the rest of another sensor": (lambda v: ft.draw(v.scene, v.grasps, v.touch, rest=OTHER), "rest: is of mine"),
+    "draw with the name of a sensor": (lambda v: ft.draw(v.scene, v.grasps, v.touch, sensor="biotac_sp"), "sensor: biotac_sp is not a Sensor"),
+    **{
+        f"draw of number {number!r}": (lambda v, number=number: ft.draw(v.scene, v.grasps, number=number), "is not one of the 3 grasps")
+        for number in ("1", None, True, 1.0)
+    },
+    **{
+        f"a message with {fields}": (lambda _, fields=fields: ft.reading(SimpleNamespace(**fields)), "lacks a field")
+        for fields in ({"fingers": ["TH"]}, {"predictions": 3}, {"fingers": None, "statuses": None})
+    },
+    "run with a table and a mask": (lambda v: ft.Pipeline().run(v.scene.cloud, v.scene.table, mask=v.scene.labels), "mask: is of a scene"),
+    **{
+        f"segment with {options}": (lambda v, options=options: ft.Pipeline().segment(v.scene.cloud, **options), f"{next(iter(options))}: ")
+        for options in ({"previous": "x"}, {"previous": np.zeros(2)}, {"identity": "x"})
+    },
+    **{
+        f"plan with {options}": (lambda v, options=options: ft.Pipeline().plan(v.scene.objects[0], **options), f"{next(iter(options))}: ")
+        for options in ({"slide_m": "x"}, {"rng": 0}, {"held": "x"})
+    },
+    "a grasp between contacts without an object": (lambda _: ft.Pipeline().grasp_between(None, None, None), "target: None is not an object"),
+    **{
+        f"settings with {groups}": (lambda _, groups=groups: ft.PipelineConfig(**groups), "is not a group of settings")
+        for groups in ({"grasp": 3}, {"target": None}, {"hand": ft.PipelineConfig().grasp})
+    },
+    "settings with an unknown one in a group": (lambda _: ft.PipelineConfig().replace(grasp={"counts": 3}), "grasp.counts: unknown setting"),
+    **{
+        f"samples[{number!r}]": (lambda v, number=number: v.samples[number], "choose some by subset([0, 2])")
+        for number in ("can", 1.0, None, True, [0, 1])
+    },
+    "a camera of a matrix": (lambda _: DepthCamera(intrinsics=np.eye(3)), "--intrinsics: ndarray is not the numbers"),
+    "a card without data": (lambda v: ft.TouchModel(v.model.predictor, {**v.model.card, "data": 3}), "card: data: 3 is not a mapping"),
+    "a mark without rows": (lambda v: v.touch.marked("late"), "is no name with True"),
+    "a touch of several grasps": (lambda v: v.history.touched(v.scene.objects[0], v.grasps, v.touch[0].value), "grasp: Grasps is not a Grasp"),
     "grasps.width": (lambda v: v.grasps.width, "did you mean width_m?"),
     "grasp.width": (lambda v: v.grasps[0].width, "did you mean width_m?"),
     "scene.object": (lambda v: v.scene.object, "did you mean objects?"),
@@ -154,6 +264,7 @@ CURES: dict[str, tuple[Callable[[Any], object], str]] = {
     "plan(counts=)": (lambda v: ft.plan(v.scene.objects[0], counts=3), "did you mean count?"),
     "a hand of another name": (lambda v: ft.plan(v.scene.objects[0], hand="franka"), "franka_hand"),
     "segment of a file": (lambda _: ft.segment("table.npz"), "Cloud.from_depth(depth, K)"),
+    "a model that is loaded": (lambda v: ft.load_model(v.model), "model: TouchModel is not the name or the path of a model"),
     "a model of another name": (lambda _: ft.load_model("contact_v3"), "did you mean contact-v3?"),
     "a function that is a method": (lambda _: ft.predict, "load_model().predict(object, grasps)"),
     "a name that is not there": (lambda _: ft.segmentation, "did you mean segment?"),
@@ -172,6 +283,10 @@ class Values:
         self.scene, self.model = ft.segment(ft.Cloud.from_depth(depth, CAMERA)), ft.load_model()
         self.grasps = ft.plan(self.scene.objects[0], count=3)
         self.touch = self.model.predict(self.scene.objects[0], self.grasps)
+        self.bare = ft.Grasps(self.grasps.g1, self.grasps.g2)
+        self.samples = ft.SampleSet(Path("x"), "k", 2, lambda _: ft.Sample("1", "mug"), str)
+        self.history = ft.History(self.model)
+        self.history.tare(self.model.rest, stamp_ns=1)
 
 
 def test_what_users_do_by_mistake_is_answered_with_a_cure() -> None:

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+import copy
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -105,6 +107,30 @@ def test_take_by_mask_equals_take_by_index(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(by_mask.xyz, by_index.xyz)
     np.testing.assert_array_equal(by_mask.rgb, rgb[mask])
     assert (by_mask.frame_id, by_mask.stamp_ns) == ("camera", 7)
+
+
+def test_grasps_and_readings_are_equal_by_their_numbers() -> None:
+    grasps = Grasps([[0.0, 0.0, 1.0], [0.0, 0.1, 1.0]], [[0.0, 0.05, 1.0], [0.0, 0.2, 1.0]], object_id=["a", "b"])
+    read = biotac_touch(np.arange(50.0))
+    rows = Predictions(np.stack([read.values, read.values + 1.0]), grasps, BIOTAC)
+    for one, other in ((grasps, grasps[::-1]), (grasps[0], grasps[1]), (rows, rows[::-1]), (rows[0], rows[1])):
+        twin = copy.deepcopy(one)
+        assert one == twin
+        assert hash(one) == hash(twin)
+        assert one != other
+        assert one != 3
+    assert read == biotac_touch(np.arange(50.0))
+    assert grasps.index(grasps[1]) == 1
+    assert grasps[0] in grasps
+    assert grasps[0] not in grasps[1:]
+    assert grasps[0] != dataclasses.replace(grasps[0], object_id="c")
+
+
+def test_heights_and_poses_of_lists_and_whole_numbers_are_those_of_their_floats() -> None:
+    plane = Plane([0.0, 0.0, 1.0], -0.5)
+    for points in ([[0, 0, 1], [0, 0, 1000]], np.array([[0, 0, 1], [0, 0, 1000]], np.uint16)):
+        np.testing.assert_array_equal(plane.height(points), [0.5, 999.5])
+    assert plane.moved(np.eye(4).tolist()).coefficients.tolist() == plane.coefficients.tolist()
 
 
 def test_a_normalised_plane_the_middle_and_width_of_a_grasp_and_the_vector_of_a_touch() -> None:

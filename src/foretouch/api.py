@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
 import numpy.typing as npt
 
 from foretouch.base.files import as_path
@@ -66,7 +65,7 @@ def plan(
     target: Object,
     *,
     count: int | None = None,
-    hand: str | None = None,
+    hand: str | Path | None = None,
     mass_kg: float | None = None,
     friction: float | None = None,
     config: PipelineConfig | None = None,
@@ -90,7 +89,7 @@ def plan(
         ConfigError: If there is no such hand, or the count is out of its bounds.
     """
     pipeline = Pipeline(config)
-    given: dict[str, tuple[str, int | float | str | None]] = {
+    given: dict[str, tuple[str, int | float | str | Path | None]] = {
         "count": ("grasp.count", count),
         "hand": ("hand.name", hand),
         "mass_kg": ("object.mass_kg", mass_kg),
@@ -98,8 +97,7 @@ def plan(
     }
     for name, (key, value) in given.items():
         if value is not None:
-            plain = value.item() if isinstance(value, np.generic) else value
-            pipeline.config = pipeline.config.updated({key: plain}, name)
+            pipeline.config = pipeline.config.updated({key: value}, name)
     return pipeline.plan(target).grasps
 
 
@@ -122,7 +120,10 @@ def reading(message: Any) -> Prediction | Predictions:
     if not hasattr(message, "predictions") and not hasattr(message, "fingers"):
         rule = "is not a TouchPrediction, TouchPredictionBatch or TouchPredictionArray of foretouch_msgs"
         raise TactileError(f"message: {type(message).__name__} {rule}")
-    rows = decode_predictions(message)
+    try:
+        rows = decode_predictions(message)
+    except (AttributeError, TypeError) as err:  # of another object that has some of the fields
+        raise TactileError(f"message: {type(message).__name__} lacks a field of a message: {err}") from err
     many = hasattr(message, "predictions") or hasattr(message, "statuses")
     return rows if many else rows[0]
 

@@ -150,6 +150,12 @@ class Settings:
     def __post_init__(self) -> None:
         for info in _own_infos(type(self)):
             object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
+        for name, hint in _GROUPS[type(self)].items():
+            item, is_list, _ = _analyse(hint)
+            value = getattr(self, name)
+            groups = value if is_list and isinstance(value, tuple) else (value,)
+            if not all(isinstance(group, item) for group in groups):
+                object.__setattr__(self, name, _field_value(hint, value, "", name))
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
@@ -349,6 +355,7 @@ def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
 
 
 _INFOS: dict[type, tuple[SettingInfo, ...]] = {}
+_GROUPS: dict[type, dict[str, Any]] = {}  # annotations of the fields that are groups, of a class in `_INFOS`
 
 
 def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
@@ -356,10 +363,11 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
     if cls in _INFOS:
         return _INFOS[cls]
     hints = typing.get_type_hints(cls)
-    infos = []
+    infos, groups = [], dict[str, Any]()
     for f in dataclasses.fields(cls):
         item, is_list, optional = _analyse(hints[f.name])
         if issubclass(item, Settings):
+            groups[f.name] = hints[f.name]
             continue
         if "description" not in f.metadata:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
@@ -370,7 +378,7 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
         infos.append(
             SettingInfo(name=f.name, default=f.default, type=item, is_list=is_list, optional=optional, **facts)
         )
-    _INFOS[cls] = tuple(infos)
+    _GROUPS[cls], _INFOS[cls] = groups, tuple(infos)
     return _INFOS[cls]
 
 
@@ -401,8 +409,12 @@ def _checked(info: SettingInfo, value: Any) -> Any:
 
 
 def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
+    if getattr(value, "shape", None) == ():
+        value = value.item()  # of NumPy
     if type(value) is int and not -(2**63) <= value < 2**63:
         raise ConfigError(f"{name}: a whole number of {value.bit_length()} bits is not a number that can be used")
+    if info.type is str and isinstance(value, Path):
+        value = str(value)
     if info.type is float and type(value) is int:
         value = float(value)
     if not isinstance(value, info.type) or (info.type is not bool and type(value) is bool):

@@ -31,6 +31,7 @@ from foretouch.grasp.unseen import DepthAround
 from foretouch.models import History, Readings, TouchModel, load_model
 from foretouch.models.registry import MODEL_WORDS, PREDICTOR_WORDS
 from foretouch.types import Cloud, Float64, Grasp, Grasps, Plane, Predictions, Touch
+from foretouch.types.arrays import numbers, scalar
 from foretouch.types.cloud import require_cloud
 from foretouch.types.scene import Object, Obstacles, Scene
 from foretouch.types.summary import Summarised
@@ -193,6 +194,9 @@ class Pipeline(Summarised):
                 is passed for the cloud.
         """
         require_cloud(cloud)
+        require_type(identity, ObjectIdentity | None, "identity", "not an ObjectIdentity", CloudError)
+        if previous is not None and (previous := numbers(previous, "previous", CloudError)).shape != (3,):
+            raise CloudError(f"previous: shape {previous.shape} is not (3,), a centroid; pass mask= for labels")
         if mask is not None:
             scene, identity = segment_mask(cloud, mask, self.config.segmentation), None
         else:
@@ -250,6 +254,10 @@ class Pipeline(Summarised):
             CloudError: If a scene, a cloud or background is passed for the object.
         """
         require_object(target)
+        kinds = np.random.Generator | np.random.RandomState | None
+        require_type(rng, kinds, "rng", "not a generator, such as numpy.random.default_rng(0)", ConfigError)
+        require_type(held, tuple | None, "held", "not a grasp and a number, as of GraspHold", ConfigError)
+        slide_m = scalar(slide_m, "slide_m", ConfigError)
         if target.background:
             raise CloudError(f"target: is background ({target.background}); grasps are planned on objects of a scene")
         return plan_grasps(
@@ -282,6 +290,7 @@ class Pipeline(Summarised):
             GraspError: If a contact is not finite, both are equal, or they are out of the hand's reach.
             CloudError: If the object or its table is out of the limits.
         """
+        require_object(target)
         grasp = Grasp(g1, g2, object_id=target.id)
         check_object(target.cloud.xyz, self.config.limits)
         check_table(target.plane, self.config.limits, target.cloud.xyz)
@@ -325,13 +334,15 @@ class Pipeline(Summarised):
             mask: Labels of the objects, as in `segment`.
 
         Raises:
-            CloudError: If the cloud or the table is of another type; for a mask as `segment`.
+            CloudError: If the cloud or the table is of another type, or table and mask are given; for a mask as `segment`.
         """
         ms: dict[str, float] = {}
         scene: Scene | None = None
         results: list[TargetResult] = []
         targets: tuple[Object, ...]
         if plane is not None:
+            if mask is not None:
+                raise CloudError("mask: is of a scene, and with plane the cloud is of one object; give one of them")
             targets = (Object.of("1", cloud, plane),)
         else:
             with timed(ms, "segment"):

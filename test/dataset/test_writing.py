@@ -6,6 +6,7 @@ import runpy
 import sys
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 import foretouch as ft
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.labelling.stamps import stamp_faults
@@ -351,6 +353,27 @@ def test_missing_numbers_are_refused_held_or_masked_by_setting(tmp_path: Path, p
         )
 
 
+CAN = np.stack(np.meshgrid([0.0, 0.1], [0.0, 0.07], [0.85, 0.9]), axis=-1).reshape(-1, 3)  # [m]
+
+
+def held(unit: float = 1.0, away: float = 0.0) -> ft.Grasp:
+    """Return a grasp across the can."""
+    ends = unit * np.array([[0.05, 0.07, 0.87 + away], [0.05, 0.0, 0.87 + away]])
+    return ft.Grasp(*ends, np.eye(3)[:, [2, 0, 1]])
+
+
+def test_a_touch_of_no_working_sensor_and_an_object_beyond_the_limits_are_refused(tmp_path: Path, pads: Path) -> None:
+    (fine,) = written(tmp_path / "a", pads, grasp(cloud=ft.Cloud(CAN), grasp=held()))
+    assert fine.touch is not None
+    high = replace(fine, id="", touch=replace(fine.touch, values=fine.touch.values + 1e6))
+    with pytest.raises(DatasetError, match=r"sample 0 \(mug\): touch: p_a\[0\]: .* is not between 0 and 4000 counts"):
+        ft.write(tmp_path / "b", [high], pads)
+    large = replace(fine, id="", cloud=ft.Cloud(10.0 * CAN - [0.0, 0.0, 8.0]))
+    with pytest.raises(DatasetError, match="more than max_extent_m"):
+        ft.write(tmp_path / "b", [large], pads)
+    assert ft.write(tmp_path / "b", [large], pads, limits=ObjectLimits(max_extent_m=2.0)).samples == 1
+
+
 REFUSED: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "a finger is missing": (lambda one: one["values"].pop("P_B"), "values: P_B of pads are missing"),
     "an unknown finger": (lambda one: one["values"].update(P_C=1), "values: 'P_C' is not one of P_A, P_B"),
@@ -376,6 +399,13 @@ REFUSED: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "rows of several lengths": (lambda one: one["values"].update(P_A=[[1.0], [1.0, 2.0]]), "P_A: .* rows of different lengths"),
     "times for numbers": (lambda one: one["values"].update(P_A=np.zeros((100, 3), "datetime64[s]")), "P_A: .* is not of numbers: times"),
     "a start that is text": (lambda one: one.update(start_s="now"), "start_s: now is not of numbers: texts"),
+    "a cloud in millimetres": (lambda one: one.update(cloud=ft.Cloud(1e3 * CAN)), "cloud: xyz: the object is .* away.*is it in metres"),
+    "a cloud of a scene": (lambda one: one.update(cloud=ft.Cloud(CAN * [20.0, 1.0, 1.0])), "cloud: xyz: the object extends 2 m, more than max_extent_m"),
+    "a grasp in millimetres": (lambda one: one.update(cloud=ft.Cloud(CAN), grasp=held(1e3)), "grasp: g1, g2: 70 m apart"),
+    "a grasp of another place": (lambda one: one.update(cloud=ft.Cloud(CAN), grasp=held(1.0, 30.0)), "grasp: g1: .* m from the object"),
+    "a table in millimetres": (lambda one: one.update(cloud=ft.Cloud(CAN), table=ft.Plane([0, 0, 1], -900.0)), "plane: is 900 m away"),
+    "a grasp without a rotation": (lambda one: one.update(grasp=ft.Grasp([0, 0.07, 0.9], [0, 0, 0.9])), "grasp: rotation: is not given"),
+    "others that are no mapping": (lambda one: one.update(others=3), "others: 3 is not a mapping"),
     "a list as outcome": (lambda one: one.update(outcome=[True]), r"outcome: \[True\] is not one of success"),
 }  # fmt: skip
 

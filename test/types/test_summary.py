@@ -45,7 +45,7 @@ def _everything() -> list[Any]:
         *(scene.table, scene.obstacles, scene.cloud, ft.Cloud(np.zeros((9, 3)), frame_id=LONG), types.NO_CLOUD),
         *(ft.Cloud.from_depth(depth, camera), camera, grasps, many, grasps[0], grasps[:0], ft.Grasps(grasps.g1, grasps.g2)),
         *(grasps.way[0], touch, touch[0], touch["E"], touch[0].value, touch[0].evidence, refused, refused[0]),
-        *(ft.Touch.unknown(channels), channels, touch.channels, history, ft.History(model), model, model.sensor),
+        *(ft.Touch.unknown(channels), channels, touch.channels, history, history.at(2), ft.History(model), model, model.sensor),
         *(model.estimate(target.cloud, grasps), sample, named, named.series or sample.readings, opened),
         *(ft.Stream(), ft.Stream(history=history), ft.StreamConfig(grasp_hold=1.0), ft.Pipeline(), ft.PipelineConfig(), ft.PipelineConfig.from_mapping(changed), ft.ForetouchError(LONG)),
         *(result, result.targets[0], ft.Pipeline().plan(target), Obstacles(np.zeros((0, 3)), np.zeros(0))),

@@ -97,6 +97,9 @@ class SampleSet(Summarised, Tabular):
         """Read a sample by its number, from the end if it is negative, or choose some by a slice; a `NoSuchRowError` if there is none."""
         if isinstance(number, slice):
             return self.subset(range(self.size)[number])
+        if isinstance(number, bool) or not hasattr(number, "__index__") or np.ndim(number):
+            rule = "is not the number of a sample; choose some by subset([0, 2]), or by filter(function)"
+            raise NoSuchRowError(f"{self.path}: {shown(number, 60)} {rule}")
         number = operator.index(number)
         if not -self.size <= number < self.size:
             raise NoSuchRowError(f"{self.path}: there is no sample {number}, 0 to {self.size - 1}")

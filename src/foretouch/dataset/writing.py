@@ -12,19 +12,27 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
 
 from foretouch.base.files import as_path
+from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.identity import Identity, name_of
 from foretouch.dataset.labelling.grasp_arrays import GraspArrays, Missing, Remarks
 from foretouch.dataset.labelling.stamps import stamp_faults
 from foretouch.dataset.recordings.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
-from foretouch.errors import DatasetError, ForetouchError, checked, shown
+from foretouch.errors import CloudError, DatasetError, ForetouchError, checked, require_type, shown
 from foretouch.grasp import closing_faults
+from foretouch.grasp.reach import EXECUTED_M, reach_faults
+from foretouch.tactile import touch_faults
 from foretouch.tactile.description import Sensor, load_sensor
 from foretouch.types import Grasps, Sample
+
+_ANYWHERE: Final = ObjectLimits(min_range_m=0.0)
+"""Limits of objects in any frame, not only in that of a camera."""
 
 
 @dataclass(kw_only=True)
@@ -49,6 +57,7 @@ def write(
     hand: Mapping[str, str] | None = None,
     camera: Mapping[str, str] | None = None,
     min_free_mb: float = RecordingConfig().min_free_mb,
+    limits: ObjectLimits = _ANYWHERE,
 ) -> WriteResult:
     """Write samples to a recorded dataset, which is created or extended.
 
@@ -65,6 +74,7 @@ def write(
         hand: Name, serial number and so on of the hand; by default the name of the sensor.
         camera: The same of the camera; by default none.
         min_free_mb: Disk space that is left free [MB], as in the recorder.
+        limits: Range and size of objects, as of a prediction; by default in any frame.
 
     Returns:
         The counts, and remarks on stamps and missing numbers, which are warned of, too.
@@ -76,6 +86,9 @@ def write(
     for name, facts_given in (("hand", hand), ("camera", camera)):
         if not isinstance(facts_given, Mapping | None):
             raise DatasetError(f'{name}: {shown(facts_given)} is not a mapping, such as {{"name": "mine"}}')
+    require_type(
+        limits, ObjectLimits, "limits", "not ObjectLimits, such as ObjectLimits(max_extent_m=1.0)", DatasetError
+    )
     if not isinstance(samples, Iterable) or getattr(samples, "ndim", None) == 0:
         raise DatasetError(f"samples: {type(samples).__name__} is neither a dataset, such as open(PATH), nor a list")
     if isinstance(samples, SampleSet):
@@ -94,7 +107,7 @@ def write(
     if not start:
         raise DatasetError(f"samples: there is none to write to {path}; pass at least one sample")
 
-    made = _made_of(chain(start, records), own, missing, remarks)
+    made = _made_of(chain(start, records), own, missing, remarks, limits)
     write_records(as_path(path), made, identity, own, result, remarks=remarks, min_free_mb=min_free_mb)
     for line in result.notes:
         warnings.warn(line, stacklevel=2)
@@ -107,14 +120,36 @@ def _named(what: str, facts: Mapping[str, Any] | None) -> dict[str, str]:
 
 
 def _made_of(
-    records: Iterable[Sample | Mapping[str, Any]], sensor: Sensor, missing: Missing, remarks: Remarks
+    records: Iterable[Sample | Mapping[str, Any]],
+    sensor: Sensor,
+    missing: Missing,
+    remarks: Remarks,
+    limits: ObjectLimits,
 ) -> Iterator[Sample]:
-    """Iterate over samples; make a sample of each mapping."""
+    """Iterate over samples; make a sample of each mapping. What no prediction would accept is refused."""
     for number, record in enumerate(records):
         sample = record if isinstance(record, Sample) else _sample_of(number, record, sensor, missing, remarks)
-        if fault := closing_faults(Grasps.of([sample.grasp]))[0]:
-            raise DatasetError(f"sample {number} ({sample.id or sample.object}): grasp: {fault}")
+        if fault := _fault(sample, limits):
+            raise DatasetError(f"sample {number} ({sample.id or sample.object}): {fault}")
         yield sample
+
+
+def _fault(sample: Sample, limits: ObjectLimits) -> str:
+    """Return why a grasp cannot have been executed on an object, or a reading be that of working sensors; "" if both can."""
+    grasps, xyz = Grasps.of([sample.grasp]), sample.cloud.xyz
+    if not sample.grasp.rotation.any():
+        return "grasp: rotation: is not given; model.predict(object, grasps).grasps has it"
+    try:
+        check_object(xyz, limits)
+        if sample.table is not None:
+            check_table(sample.table, limits, xyz)
+    except CloudError as err:
+        return f"cloud: {err}"
+    reach = reach_faults(grasps, xyz, EXECUTED_M, limits.max_range_m) if np.isfinite(xyz).any() else []
+    faults = [("grasp", fault) for fault in (*closing_faults(grasps), *reach)]
+    for name, reading in (("touch", sample.touch), ("tare", sample.tare)):
+        faults += [(name, fault) for fault in (() if reading is None else touch_faults(reading))]
+    return next((f"{name}: {fault}" for name, fault in faults if fault), "")
 
 
 def _sample_of(number: int, record: object, sensor: Sensor, missing: Missing, remarks: Remarks) -> Sample:

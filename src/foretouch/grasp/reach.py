@@ -21,6 +21,9 @@ _OFF_M = 0.02  # from the object and what it hides, where a contact is in the ai
 
 _nearest_squares = Kernel("nearest_squares")
 
+EXECUTED_M: Final = 2.0
+"""Width of a grasp that was executed with whatever hand: wider ones are in another unit [m]."""
+
 OFF_OBJECT: Final = "off_object"
 """Flag of a grasp with a contact in the air: the camera sees that the object is not there."""
 

@@ -22,7 +22,7 @@ from typing import Any, Final, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ModelError
+from foretouch.errors import ModelError, require_type
 from foretouch.types import Bool, Cloud, Float64, Grasps, Plane
 from foretouch.types.arrays import numbers
 from foretouch.types.summary import Summarised
@@ -76,6 +76,7 @@ class Estimate(Summarised):
             raise ModelError(f"{err}; {rule}") from err
         if counts.shape != (rows, values):
             raise ModelError(f"estimate: returned counts of shape {counts.shape}; {rule}")
+        require_type(estimate.reasons, Mapping, "estimate: returned reasons", "not masks by flag", ModelError)
         familiar = None if estimate.familiar is None else _mask(estimate.familiar, "familiar", rows)
         reasons = {flag: _mask(mask, f"reasons[{flag!r}]", rows) for flag, mask in estimate.reasons.items()}
         where = None if estimate.where is None else numbers(estimate.where, "estimate: returned where", ModelError)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch.base.files import read_json
-from foretouch.errors import FileError, ModelError, checked, nearest, shown
+from foretouch.errors import FileError, ModelError, checked, nearest, require_type, shown
 from foretouch.models.card import CARD_FORMAT, OWN, read_card
 from foretouch.models.touch_model import TouchModel
 
@@ -45,6 +45,7 @@ def load_model(name_or_path: str | Path = "default", predictor: Any = None) -> T
         ModelError: If there is no such model, or it is damaged, or does not predict each modality; if a model of your own
             is loaded without its predictor, or another model with one.
     """
+    require_type(name_or_path, str | Path, "model", "not the name or the path of a model", ModelError)
     path, *others = find_cards(name_or_path)
     if others:
         from foretouch.models.network.checkpoint import join

@@ -23,8 +23,10 @@ from foretouch.base.files import as_path, read_bytes, replace_files, system_erro
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
 from foretouch.errors import (
     CloudError,
+    ConfigError,
     FileError,
     ForetouchError,
+    GraspError,
     ModelError,
     TactileError,
     checked,
@@ -36,13 +38,13 @@ from foretouch.errors import (
 from foretouch.grasp.axis import with_rotations
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import closing_faults, joined_faults
-from foretouch.grasp.reach import DEFAULT_REACH, OFF_OBJECT, ReachConfig, in_the_air, reach_faults
+from foretouch.grasp.reach import DEFAULT_REACH, EXECUTED_M, OFF_OBJECT, ReachConfig, in_the_air, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.card import OWN, card_sensor
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_pressures
 from foretouch.models.files import pack_history, to_bytes, to_text, under, unpack_history
 from foretouch.models.predictor import Estimate, Predictor
-from foretouch.models.tracker import SensorTracker
+from foretouch.models.tracker import SensorTracker, checked_stamp
 from foretouch.tactile import Ranges, touch_faults, usual_ranges
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import require_same
@@ -63,6 +65,7 @@ NO_TABLE: Final = "assumed_table"
 
 _NO_MODEL: Final = "not a TouchModel, such as load_model()"
 _NO_CHOICE: Final = "not True, False or None"
+_NO_LIMITS: Final = "not ObjectLimits, such as ObjectLimits(max_range_m=2.0)"
 _TRACKER: Final = "tracker/"
 _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tares share would be counted as many
 
@@ -95,6 +98,7 @@ class TouchModel(Summarised):
         if not isinstance(card, Mapping) or not all(isinstance(card.get(name), str) for name in ("name", "sha256")):
             rule = "holds no name and sha256; load_model(…) reads a card, and calibrate(predictor, samples) makes one"
             raise ModelError(f"card: {shown(card)} {rule}")
+        require_type(card.get("data", {}), Mapping, "card: data", "not a mapping", ModelError)
         if not isinstance(calibration, Calibration | None):
             raise ModelError(f"calibration: {type(calibration).__name__} is not a Calibration")
         self.name: str = card["name"]
@@ -139,6 +143,7 @@ class TouchModel(Summarised):
         Args:
             other: The other model.
         """
+        require_type(other, TouchModel, "other", _NO_MODEL, ModelError)
         loaded = self.path is not None and other.path is not None
         return other is self or (loaded and other.card == self.card)  # which has the hashes of the other files
 
@@ -227,18 +232,17 @@ class TouchModel(Summarised):
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
             history = history.at(None, cloud) if isinstance(history, History) else history
         flags = cloud.flags if isinstance(cloud, Object) else ()
-        cloud, own_table = _cloud_and_table(cloud)
-        if table is not None and not isinstance(table, Plane):
-            raise CloudError(
-                f"table: {type(table).__name__} is not a Plane, such as Plane.from_coefficients([a, b, c, d])"
-            )
-        table = table or own_table
+        cloud, table = _cloud_and_table(cloud, table)
+        require_type(
+            reach, ReachConfig, "reach", "not a ReachConfig, such as ReachConfig(max_width_m=0.1)", ConfigError
+        )
+        require_type(limits, ObjectLimits, "limits", _NO_LIMITS, ConfigError)
         check_object(cloud.xyz, limits)
         columns = with_rotations(Grasps.of(grasps), cloud, table, _POSING)
         faults = _faults(columns, cloud, reach.max_width_m, reach.max_distance_m)
         usable = np.array([not fault for fault in faults], np.bool_)
         graspable = columns if usable.all() else columns.take(usable)
-        estimate = self.estimate(cloud, graspable, table)  # a useless cloud is named first
+        estimate = self._estimate(cloud, graspable, table)  # a useless cloud is named first
         read = history if tare is None else self.after_tare(tare)
         predictions = self._adapted(graspable, estimate, read)
         off = np.zeros(len(columns), np.bool_)
@@ -267,20 +271,29 @@ class TouchModel(Summarised):
             )
         return self._predictions(grasps, estimate, estimate.counts, half, "none", Evidence())
 
-    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
+    def estimate(self, cloud: Cloud | Object, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
         """Predict K grasps from the cloud alone, without readings and intervals.
 
         Args:
-            cloud: The object's points [m].
-            grasps: In the cloud's frame.
-            table: In the same frame; without one the camera is taken to look straight down on it.
+            cloud: The object's points [m], or an object of a scene.
+            grasps: In the cloud's frame. Rotations that are not given are computed as of `predict`, but for an own predictor.
+            table: In the same frame; of an object its own. Without one the camera is taken to look straight down on it.
 
         Raises:
             CloudError: If the cloud cannot be used.
+            GraspError: If a rotation is not given and cannot be computed, since there is no table.
             ModelError: If the cloud lacks a colour that the model needs; or of an own predictor that fails, or returns no
                 K x D numbers: names it, the error and the line.
         """
+        cloud, table = _cloud_and_table(cloud, table)
         grasps = Grasps.of(grasps)
+        if self.card.get("kind") != OWN:
+            grasps = with_rotations(grasps, cloud, table, _POSING)
+            require_none(_absent_faults(grasps))
+        return self._estimate(cloud, grasps, table)
+
+    def _estimate(self, cloud: Cloud, grasps: Grasps, table: Plane | None) -> Estimate:
+        """Return what the predictor answers, checked where it is of a user."""
         try:
             if self.card.get("kind") == OWN:  # which may write into what it is given
                 answer = self.predictor.estimate(*copy.deepcopy((cloud, grasps)), table)
@@ -300,27 +313,33 @@ class TouchModel(Summarised):
             raise ModelError(f"{self.name}: {err}") from err
 
     def estimate_executed(
-        self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS, table: Plane | None = None
+        self,
+        cloud: Cloud | Object,
+        grasps: Sequence[Grasp],
+        limits: ObjectLimits = DEFAULT_LIMITS,
+        table: Plane | None = None,
     ) -> Estimate:
         """Predict by vision the readings of grasps that were executed, to compare them with what was read.
 
         Args:
-            cloud: The object's points [m].
+            cloud: The object's points [m], or an object of a scene.
             grasps: K grasps in the cloud's frame.
             limits: Range and size of objects.
-            table: In the cloud's frame; without one the camera is taken to look straight down on it.
+            table: In the cloud's frame; of an object its own. Without one the camera is taken to look straight down on it.
 
         Raises:
             CloudError: If the cloud cannot be used.
             GraspError: If no hand can execute a grasp.
             ModelError: If a value is not finite.
         """
+        cloud, table = _cloud_and_table(cloud, table)
+        require_type(limits, ObjectLimits, "limits", _NO_LIMITS, ConfigError)
         check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range or wider than any hand.
         columns = with_rotations(Grasps.of(grasps), cloud, table, _POSING)
-        faults = _faults(columns, cloud, 2.0, limits.max_range_m)
+        faults = _faults(columns, cloud, EXECUTED_M, limits.max_range_m)
         usable = np.array([not fault for fault in faults], np.bool_)
-        estimate = self.estimate(cloud, columns.take(usable), table)  # a useless cloud is named first
+        estimate = self._estimate(cloud, columns.take(usable), table)  # a useless cloud is named first
         require_none(faults)
         if not np.isfinite(estimate.counts).all():
             raise ModelError(f"{self.name}: {_NOT_FINITE}")
@@ -427,12 +446,13 @@ def _checked_tdc(tdc: Any, model: TouchModel) -> Float64 | None:
     return values
 
 
-def _cloud_and_table(target: Cloud | Object) -> tuple[Cloud, Plane | None]:
-    """Return the cloud and the table of an object; of a cloud no table."""
+def _cloud_and_table(target: Cloud | Object, table: Plane | None = None) -> tuple[Cloud, Plane | None]:
+    """Return the cloud and the table of an object; of a cloud no table, if none is given."""
+    require_type(table, Plane | None, "table", "not a Plane, such as Plane.from_coefficients([a, b, c, d])", CloudError)
     if isinstance(target, Object):
-        return target.cloud, target.plane
+        return target.cloud, table or target.plane
     if isinstance(target, Cloud):
-        return target, None
+        return target, table
     rule = "is neither an object of a scene, such as segment(cloud).objects[0], nor a Cloud of one"
     raise CloudError(f"cloud: {type(target).__name__} {rule}")
 
@@ -443,8 +463,8 @@ def place_and_size(cloud: Cloud) -> Float64:
     return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
 
 
-@dataclass(frozen=True, eq=False)
-class Readings:
+@dataclass(frozen=True, eq=False, repr=False)
+class Readings(Summarised):
     """What a hand had read at a time, for predictions on one object; of `History.at`."""
 
     model: TouchModel  # by whose predictions the readings are explained
@@ -454,9 +474,14 @@ class Readings:
     tared: bool  # whether a tare was taken shortly before
     tdc: Float64 | None = None  # (F,) TDC of the fingers at that time [counts]; the latest one if None
 
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        facts = {"model": briefly(self.model), "reference": self.reference}
+        return f"{counted(self.evidence.readings, 'reading')}, {self.evidence.touches} of the object", facts
+
     def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
         """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
         require_type(estimate, Estimate, "estimate", "not an Estimate of this model", ModelError)
+        estimate = Estimate.of(estimate, np.size(estimate.counts, 0), self.model.sensor.channels.size)
         counts, half = np.empty((2, *estimate.counts.shape))
         for known in (False, True):
             rows = estimate.known == known
@@ -550,12 +575,13 @@ class History(Summarised):
         Raises:
             TactileError: If the reading is of another sensor or not of working ones, or older than the last one.
         """
-        stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
+        stamp_ns = time.time_ns() if stamp_ns is None else checked_stamp(stamp_ns)
         tdc = _checked_tdc(tdc, self.model)
-        if self._tare_ns >= 0 and isinstance(stamp_ns, int) and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
+        offset = self.model.tare_offset(reading)
+        if self._tare_ns >= 0 and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
             self._tared = True
             return ()
-        restarted = self.tracker.add_tare(stamp_ns, self.model.tare_offset(reading), tdc=tdc)
+        restarted = self.tracker.add_tare(stamp_ns, offset, tdc=tdc)
         self._tare_ns, self._tared = stamp_ns, True
         return self._counted(restarted)
 
@@ -588,7 +614,8 @@ class History(Summarised):
         Raises:
             TactileError: If the reading is of another sensor or not of working ones, or older than the last one.
             CloudError: If the cloud cannot be used.
-            GraspError: If no hand can execute the grasp.
+            GraspError: If no hand can execute the grasp, or it is on another object.
+            ModelError: If the estimate is not of one grasp.
         """
         cloud, table = _cloud_and_table(target)
         require_type(same_object, bool | np.bool_ | None, "same_object", _NO_CHOICE, ModelError)
@@ -596,8 +623,14 @@ class History(Summarised):
         same = self.is_current(target, _SAME_OBJECT_M) if same_object is None else same_object
         values = self.model.usable_values(reading, "touched")
         tdc = _checked_tdc(tdc, self.model)
+        require_type(grasp, Grasp, "grasp", "not a Grasp, such as grasps[0]", GraspError)
+        own = target.id if isinstance(target, Object) else ""
+        if own != grasp.object_id and own.isdecimal() and grasp.object_id.isdecimal():  # in a scene, not a dataset
+            raise GraspError(f"grasp: is on object {grasp.object_id}, not on {own}, the target")
         if estimate is None:
             estimate = self.model.estimate_executed(cloud, [grasp], table=table)
+        else:
+            estimate = Estimate.of(estimate, 1, self.model.sensor.channels.size)
         if not (same and self.touches):
             self.tracker.start_object(known=bool(estimate.known[0]))
         where = None if estimate.where is None else estimate.where[0]
@@ -652,17 +685,19 @@ class History(Summarised):
 
         Raises:
             CloudError: If the target is neither an object nor a cloud.
+            TactileError: If the stamp is no time, or the temperatures are not of the fingers.
         """
         require_type(same_object, bool | np.bool_ | None, "same_object", _NO_CHOICE, ModelError)
+        require_type(tared, bool | np.bool_ | None, "tared", _NO_CHOICE, ModelError)
         if same_object is None:
             same_object = target is None or self.is_current(target, _SAME_OBJECT_M)
         return Readings(
             self.model,
             self.tracker.copy(),
-            time.time_ns() if stamp_ns is None else stamp_ns,
+            time.time_ns() if stamp_ns is None else checked_stamp(stamp_ns),
             same_object,
             self._tared if tared is None else tared,
-            tdc,
+            _checked_tdc(tdc, self.model),
         )
 
     def save(self, path: str | Path, hand: str = "") -> None:
@@ -745,9 +780,11 @@ class History(Summarised):
 
     def copy(self) -> Self:
         """Return an independent history of the same readings."""
-        twin = copy.copy(self)
-        twin.tracker, twin.restarts = self.tracker.copy(), dict(self.restarts)
+        twin = type(self).__new__(type(self))
+        vars(twin).update(vars(self), tracker=self.tracker.copy(), restarts=dict(self.restarts))
         return twin
+
+    __copy__ = copy
 
     def to_tensors(self) -> dict[str, AnyArray]:
         """Return all of it as arrays, for a file."""
@@ -767,6 +804,7 @@ class History(Summarised):
             ModelError: Names an array that is missing or cannot be, or if it is of another model.
         """
         history = cls(model)
+        require_type(tensors, Mapping, "tensors", "not arrays by name, as of to_tensors()", ModelError)
         for name, shape, dtype in (("signature", (6,), np.float64), ("tare_ns", (1,), np.int64)):
             array = tensors.get(name)
             if array is None or array.shape != shape or array.dtype != dtype:
@@ -787,7 +825,12 @@ def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: fl
     """Return why no hand can execute each grasp; "" where one can."""
     return joined_faults(
         contact_faults(grasps.g1, grasps.g2, grasps.rotation),
-        fault_texts(~are_absent(grasps.rotation), lambda _: _NO_ROTATION),
+        _absent_faults(grasps),
         reach_faults(grasps, cloud.xyz, max_width_m, max_distance_m),
         closing_faults(grasps),
     )
+
+
+def _absent_faults(grasps: Grasps) -> list[str]:
+    """Return of each grasp that its rotation is not given; "" where it is."""
+    return fault_texts(~are_absent(grasps.rotation), lambda _: _NO_ROTATION)

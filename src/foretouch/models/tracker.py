@@ -32,11 +32,11 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
-from foretouch.errors import ModelError, TactileError, require_type
+from foretouch.errors import ModelError, TactileError, require_type, shown
 from foretouch.models.files import packed
 from foretouch.models.similar_touches import MOST, SimilarTouches
 from foretouch.models.state_space import KNOWN, NEW, StateFilter, TrackerParameters
@@ -59,6 +59,13 @@ _MOST_MEAN: Final = 4.0  # times the largest level
 _ROUNDING: Final = 1e-15  # of a covariance, relative to the largest one before
 _MOST_SLOPE: Final = 1e4  # in the coordinates of the basis
 _NO_STAMP: Final = "not nanoseconds from 0"
+
+
+def checked_stamp(stamp_ns: Any) -> int:
+    """Return a stamp [ns]; a `TactileError` if it is not a whole number from 0."""
+    if isinstance(stamp_ns, bool) or not isinstance(stamp_ns, int | np.integer) or not 0 <= stamp_ns < 2**63:
+        raise TactileError(f"stamp: {shown(stamp_ns, 60)} is {_NO_STAMP}")
+    return int(stamp_ns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,9 +395,7 @@ class SensorTracker:
 
     def _checked_stamp(self, stamp_ns: int) -> int:
         """Return the stamp, not before the newest one; a `TactileError` if it is not a valid stamp, or too late."""
-        if isinstance(stamp_ns, bool) or not isinstance(stamp_ns, int | np.integer) or not 0 <= stamp_ns < 2**63:
-            raise TactileError(f"stamp: {stamp_ns!r} is {_NO_STAMP}")
-        stamp = int(stamp_ns)
+        stamp = checked_stamp(stamp_ns)
         if self._newest_ns >= 0 and self._newest_ns - stamp > _LATE_NS:
             late = (self._newest_ns - stamp) / 1e9
             raise TactileError(f"stamp: is {late:.1f} s before that of the newest reading, 60 s are allowed")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from foretouch.base.files import as_path
-from foretouch.errors import ConfigError, none_of, shown
+from foretouch.errors import ConfigError, none_of, quoted, require_type, shown
 from foretouch.grasp.geograsp import unseen_side
 from foretouch.report.camera_figure import draw_scene_image, shown_of, window_of
 from foretouch.report.finger_figure import FingerScale, finger_levels, title_finger
@@ -30,7 +30,7 @@ from foretouch.report.panels import (
     without_formulas,
 )
 from foretouch.tactile.channels import finger_label
-from foretouch.tactile.description import Sensor, packaged_sensor, sensor_files
+from foretouch.tactile.description import Sensor, packaged_sensor, require_same, sensor_files
 from foretouch.tactile.taxel_view import TaxelView, scalars_text
 from foretouch.types import Float64, Grasp, Grasps, Prediction, Predictions, Touch
 from foretouch.types.channels import Channels
@@ -45,6 +45,7 @@ PANELS: Final = ("image", "touch", "above", "side")
 _SIDE_INCH: Final = 3.2  # height of the views of a grasp
 _AROUND_M: Final = 0.03  # shown around object and grasp
 _SEEN_MM: Final = 8.0  # from a contact to the nearest point of a side that the camera saw
+_SAME_M: Final = 1e-6  # between contacts of one grasp
 _HAND_M: Final = 0.15  # as far a hand is shown beyond the object
 
 
@@ -80,11 +81,16 @@ def draw_scene(
         GraspError: If the grasps are no sequence.
         FileError: If the file cannot be written.
     """
-    _check_types(scene, touch, rest, panels)
+    _check_types(scene, touch, panels)
+    require_type(rest, Touch | None, "rest", "not a Touch, such as model.rest", ConfigError)
+    require_type(sensor, Sensor | None, "sensor", "not a Sensor, such as model.sensor", ConfigError)
     grasps = touch.grasps if grasps is None and touch is not None else Grasps.of([] if grasps is None else grasps)
-    if len(grasps) and not 0 <= number < len(grasps):
-        raise ConfigError(f"number: {number} is not one of the {len(grasps)} grasps, 0 to {len(grasps) - 1}")
+    whole = isinstance(number, int | np.integer) and not isinstance(number, bool)
+    if not whole or (len(grasps) and not 0 <= number < len(grasps)):
+        raise ConfigError(f"number: {quoted(number)} is not one of the {len(grasps)} grasps, 0 to {len(grasps) - 1}")
     grasp = grasps[number] if len(grasps) else None
+    if touch is not None and len(grasps) and not _are_of(touch, grasps, number):
+        raise ConfigError(f"touch: predicts another grasp than number {number} of grasps")
     if isinstance(scene, Object) and grasp is not None and grasp.object_id not in ("", scene.id):
         raise ConfigError(f"grasps: are on object {grasp.object_id}, not on {scene.id}")
     target = scene if isinstance(scene, Object) else _object_of(scene, grasp)
@@ -122,16 +128,23 @@ def _new_page(panels: Sequence[str], scene: Scene | Object, grasp: Grasp | None)
     return figure, parts
 
 
-def _check_types(scene: object, touch: object, rest: object, panels: Sequence[str]) -> None:
-    """Refuse what is neither a scene nor an object, no predictions, no reading or no panel; a `ConfigError`."""
+def _are_of(touch: Predictions, grasps: Grasps, number: int) -> bool:
+    """Return whether a prediction has the contacts of a grasp; also one without contacts, as of messages, or without values."""
+    if number >= len(touch):
+        return False
+    ends = [(getattr(of, name)[number] for of in (touch.grasps, grasps)) for name in ("g1", "g2")]
+    near = all(np.isnan(own).any() or np.allclose(own, wanted, atol=_SAME_M) for own, wanted in ends)
+    return near or not touch.ok[number]
+
+
+def _check_types(scene: object, touch: object, panels: Sequence[str]) -> None:
+    """Refuse what is neither a scene nor an object, no predictions or no panel; a `ConfigError`."""
     if not isinstance(scene, Scene | Object):
         raise ConfigError(f"scene: {type(scene).__name__} is neither a Scene, such as of segment(cloud), nor an Object")
     if not isinstance(touch, Predictions | None):
         raise ConfigError(f"touch: {type(touch).__name__} is not Predictions, such as of model.predict(object, grasps)")
     if isinstance(panels, str) or not isinstance(panels, Sequence):
         raise ConfigError(f"panels: {shown(panels)} is not a list of {', '.join(PANELS)}")
-    if not isinstance(rest, Touch | None):
-        raise ConfigError(f"rest: {type(rest).__name__} is not a Touch, such as model.rest")
     for name in panels:
         if name not in PANELS:
             raise ConfigError(f"panels: {none_of(name, PANELS)}")
@@ -245,6 +258,8 @@ def _draw_touch(part: FigureBase, prediction: Prediction, rest: Touch | None, se
         text = f"not predicted: {prediction.reason}" if not prediction.ok else _finger_texts(prediction)
         axes.text(0.5, 0.5, fill(text, 40) if not prediction.ok else text, ha="center", va="center", fontsize=TEXT_PT)
         return
+    if rest is not None:
+        require_same(rest.channels, sensor.channels, "rest")
     view = TaxelView(sensor)
     tared = view.has_rest(rest)
     shown = [(k, *finger_levels(view, prediction, rest if tared else None, k)) for k in range(len(view.fingers))]

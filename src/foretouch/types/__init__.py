@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data types shared by all packages: clouds, planes, grasps, tactile readings.
 
-All are frozen. Lengths are in metres, stamps in integer nanoseconds, tactile values in the unit of the sensor. Clouds and
+All are frozen; the numbers in their arrays are not, and copies of columns may share them. Lengths are in metres, stamps in integer nanoseconds, tactile values in the unit of the sensor. Clouds and
 everything derived from them are in the camera's optical frame (x right, y down, z forward) unless `frame_id` differs.
 """
 

@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from dataclasses import replace as replace_fields
 from functools import cache
@@ -28,6 +29,9 @@ Rows: TypeAlias = slice | Index | Bool | Sequence[int]
 
 _ROW: Final = "row"  # key of the metadata of a column
 _REQUIRED: Final = object()
+TEXT: Final = (str, "a text")
+FLAGS: Final = ((tuple, list), "a tuple of texts, such as ('late',)")
+"""Types of what is no number, and what they are in words."""
 _NO_NUMBERS: Final = {"c": "complex numbers", "U": "texts", "S": "texts", "M": "times", "m": "times"}
 
 
@@ -78,8 +82,49 @@ def require_types(record: Any, types: Mapping[str, tuple[Any, str]], fault: type
         ForetouchError: Of the type `fault`; names the first field of another type.
     """
     values = vars(record)
-    for name, (kinds, what) in types.items():
-        require_type(values[name], kinds, name, f"not {what}", fault)
+    for name, kind in types.items():
+        _require(values[name], kind, name, fault)
+
+
+def _require(value: Any, kind: tuple[Any, str], name: str, fault: type[ForetouchError]) -> None:
+    """Refuse a value of another type, and a flag that is no text."""
+    require_type(value, kind[0], name, f"not {kind[1]}", fault)
+    for flag in value if kind is FLAGS else ():
+        require_type(flag, str, name, "not a text", fault)
+
+
+def as_pose(pose: Any, fault: type[ForetouchError]) -> Float64:
+    """Return a pose as (4, 4) float64; an error of the type `fault` if it is no such matrix, or not finite."""
+    matrix = numbers(pose, "pose", fault)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise fault(f"pose: {shown(pose, 60)} is not a matrix (4, 4) of finite numbers")
+    return matrix
+
+
+def as_rows(rows: Any, count: int, name: str) -> slice | Index:
+    """Return selected rows as a slice or (n,) indices.
+
+    Args:
+        rows: A slice, a mask (count,) bool, or whole numbers, of which negative ones count from the end.
+        count: Number of all rows.
+        name: Of what they are, for the error.
+
+    Raises:
+        NoSuchRowError: If it is something else, or there is no such row.
+    """
+    array = np.array(None)
+    with suppress(TypeError, ValueError):  # of bounds that are no numbers, and rows of different lengths
+        if isinstance(rows, slice):
+            rows.indices(count)
+            return rows
+        array = np.asarray(rows)
+    if array.dtype == np.bool_ and array.shape == (count,):
+        array = np.flatnonzero(array)
+    whole = array.ndim == 1 and array.dtype.kind in ("iu" if array.size else "iuf")
+    if not whole or (array.size and not -count <= array.min() <= array.max() < count):
+        rule = f"it is no slice, mask of shape ({count},) or list of numbers below {count}"
+        raise NoSuchRowError(f"{name}[{shown(rows, 60)}]: selects no rows: {rule}")
+    return array.astype(np.intp, copy=False)
 
 
 def unmasked(value: Any) -> AnyArray:
@@ -151,16 +196,39 @@ def column(*row: int | None, default: Any = _REQUIRED, dtype: Any = np.float64) 
     Args:
         row: Shape of one row; None for a length that is not fixed.
         default: What all rows hold where no column is given; without a default, the column is required.
-        dtype: Of the array; with `object`, rows are texts, tuples or other values. A field may also hold other `Columns`
-            of the same number of rows.
+        dtype: Of the array; or the type of rows that are no numbers, and what it is in words, such as `TEXT`. A field may also
+            hold other `Columns` of the same number of rows.
     """
     if default is _REQUIRED:
         return field(metadata={_ROW: (row, dtype)})
     return field(default=default, metadata={_ROW: (row, dtype)})
 
 
+class ByValue:
+    """Base of dataclasses that are equal where all their fields are, arrays number by number; NaN equals NaN."""
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        if type(self) is not type(other):
+            return NotImplemented
+        return all(_equal(getattr(self, name), getattr(other, name)) for name in _fields(type(self)))
+
+    def __hash__(self) -> int:
+        first = getattr(self, _fields(type(self))[0])
+        return hash((type(self).__name__, (first + 0.0).tobytes()))  # of -0 as of 0
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        if one.dtype != object:
+            return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+        one, other = one.tolist(), other.tolist()
+    return bool(one == other or (one != one and other != other))  # noqa: PLR0124
+
+
 @dataclass(frozen=True, eq=False)
-class Columns:
+class Columns(ByValue):
     """Base of frozen dataclasses with columns; what is given is converted, and one value fills a column.
 
     Raises:
@@ -188,10 +256,13 @@ class Columns:
     def _array(self, name: str, dtype: Any, count: int, row: tuple[int | None, ...]) -> AnyArray:
         """Return a column as an array; a single value is repeated for each row, where their number is known."""
         value = getattr(self, name)
-        if dtype is object:
+        if isinstance(dtype, tuple):
             if isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 1:
                 return value
-            return objects(value if isinstance(value, np.ndarray | list) else [value] * max(count, 0))
+            several = isinstance(value, np.ndarray | list)
+            for one in value if several else [value]:
+                _require(one, dtype, name, self.fault)
+            return objects(value if several else [value] * max(count, 0))
         if type(value) is np.ndarray and value.dtype == dtype:
             array = value
         else:
@@ -216,23 +287,26 @@ class Columns:
     def place_of(self, number: int) -> int:
         """Return the place of a row, which counts from the end if it is negative; a `NoSuchRowError` if it is not there."""
         count = len(self)
-        if not -count <= number < count:
+        whole = isinstance(number, int | np.integer) and not isinstance(number, bool)
+        if not whole or not -count <= number < count:
             there = f"they are 0 to {count - 1}" if count else "there are none"
-            raise NoSuchRowError(f"{type(self).__name__}[{number}]: is not one of the {count} rows; {there}")
+            raise NoSuchRowError(f"{type(self).__name__}[{shown(number, 60)}]: is not one of the {count} rows; {there}")
         return range(count)[number]
 
     def take(self, rows: Rows) -> Self:
         """Select rows by a slice, a mask (K,) or indices; a `NoSuchRowError` if one is not there."""
+        rows = as_rows(rows, len(self), type(self).__name__)
         parts = {name: getattr(self, name) for name in self.column_names()}
-        try:
-            rows = rows if isinstance(rows, slice | np.ndarray) else np.asarray(rows, np.intp)
-            taken = {name: part.take(rows) if isinstance(part, Columns) else part[rows] for name, part in parts.items()}
-        except (IndexError, TypeError, ValueError, OverflowError) as err:
-            raise NoSuchRowError(f"{type(self).__name__}[{shown(rows, 60)}]: selects no rows: {err}") from None
+        taken = {name: part.take(rows) if isinstance(part, Columns) else part[rows] for name, part in parts.items()}
         return self.replace(**taken)
 
     def put(self, rows: Rows, other: Self) -> Self:
-        """Exchange rows, selected by a slice, a mask (K,) or indices, for all rows of another one."""
+        """Exchange rows, selected by a slice, a mask (K,) or indices, for all rows of another one, as many."""
+        name = type(self).__name__
+        require_type(other, type(self), "other", f"not {name}", self.fault)
+        rows = as_rows(rows, len(self), name)
+        if (count := len(np.arange(len(self))[rows])) != len(other):
+            raise self.fault(f"other: {len(other)} rows do not take the place of {count}")
         columns: dict[str, Any] = {}
         for name in self.column_names():
             part, new = getattr(self, name), getattr(other, name)
@@ -251,6 +325,10 @@ class Columns:
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
         """Return rows of several of these, one after the other; what is not a column is of the first, and there is at least one."""
+        if not parts:
+            raise cls.fault(f"parts: there is none; {cls.__name__}.join takes at least one")
+        for part in parts:
+            require_type(part, cls, "parts", f"not {cls.__name__}", cls.fault)
         if len(parts) == 1:
             return parts[0]
         joined = {}
@@ -265,6 +343,9 @@ _layout: "Callable[[Any], tuple[tuple[str, tuple[int | None, ...], Any], ...]]" 
     lambda kind: tuple((info.name, *info.metadata[_ROW]) for info in fields(kind) if _ROW in info.metadata)
 )
 """Returns name, shape of a row and dtype of each column of a class."""
+
+
+_fields: "Callable[[Any], tuple[str, ...]]" = cache(lambda kind: tuple(info.name for info in fields(kind)))
 
 
 def _fits(shape: tuple[int, ...], row: tuple[int | None, ...]) -> bool:

@@ -11,7 +11,19 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError, checked, quoted, require_type, shown
 from foretouch.kernels import struct
-from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8, numbers, scalar, unmasked
+from foretouch.types.arrays import (
+    AnyArray,
+    Float32,
+    Float64,
+    Floating,
+    Rows,
+    UInt8,
+    as_pose,
+    as_rows,
+    numbers,
+    scalar,
+    unmasked,
+)
 from foretouch.types.camera import CameraModel, DepthImage, as_image, check_image
 from foretouch.types.summary import Summarised
 
@@ -132,13 +144,19 @@ class Cloud(Summarised):
         """(H, W) of an image, or (N,) of a list of points."""
         return self.xyz.shape[:-1]
 
-    def take(self, index: Index | Bool) -> "Cloud":
+    def take(self, index: Rows) -> "Cloud":
         """Return selected points as an unorganised cloud.
 
         Args:
-            index: Flat indices of points, or a mask (N,) or (H, W) bool.
+            index: Flat indices of points, a slice of them, or a mask (N,) or (H, W) bool.
+
+        Raises:
+            NoSuchRowError: If it is something else, or there is no such point.
         """
-        flat = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        if isinstance(index, np.ndarray) and index.dtype == np.bool_ and index.shape == self.shape:
+            index = index.reshape(-1)
+        rows = as_rows(index, self.size, type(self).__name__)
+        flat = np.arange(self.size)[rows] if isinstance(rows, slice) else rows
         rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
         # take() is four times as fast as indexing here.
         return Cloud(self.xyz.reshape(-1, 3).take(flat, axis=0), rgb, self.frame_id, self.stamp_ns)
@@ -303,6 +321,7 @@ class Plane(Summarised):
 
     def moved(self, pose: Float64) -> "Plane":
         """Return the same plane in another frame, in which `pose` (4, 4) is the frame of this one."""
+        pose = as_pose(pose, CloudError)
         normal = pose[:3, :3] @ self.normal
         return replace(self, normal=normal, offset=self.offset - float(normal @ pose[:3, 3]))
 
@@ -315,7 +334,11 @@ class Plane(Summarised):
         Returns:
             (...) [m], positive on the normal's side.
         """
-        return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
+        floating = isinstance(xyz, np.ndarray) and xyz.dtype.kind == "f"
+        points: Floating = xyz if floating else numbers(xyz, "xyz", CloudError)
+        if points.shape[-1:] != (3,):
+            raise CloudError(f"xyz: shape {points.shape} is not (..., 3)")
+        return points @ self.normal.astype(points.dtype) + points.dtype.type(self.offset)
 
 
 ASSUMED_TABLE = Plane(np.array([0.0, 0.0, 1.0]), -1.27, assumed=True)

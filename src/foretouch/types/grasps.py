@@ -4,12 +4,29 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, Self, overload
+from types import NoneType
+from typing import Any, ClassVar, Final, Literal, Self, overload
 
 import numpy as np
 
 from foretouch.errors import ForetouchError, GraspError, quoted, shown
-from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain, scalar
+from foretouch.types.arrays import (
+    FLAGS,
+    TEXT,
+    Bool,
+    ByValue,
+    Columns,
+    Float64,
+    Objects,
+    Rows,
+    as_pose,
+    column,
+    numbers,
+    objects,
+    plain,
+    require_types,
+    scalar,
+)
 from foretouch.types.channels import NO_CHANNELS
 from foretouch.types.rotations import are_absent, check_rotation, fault_texts, quaternion_xyzw, require_rotations
 from foretouch.types.summary import Summarised, names_of, spread, tallied
@@ -22,7 +39,7 @@ _MIRRORED = np.abs(TILTS[:, None] + TILTS).argmin(axis=1)  # place of the negati
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WayIn(Summarised):
+class WayIn(Summarised, ByValue):
     """How a described hand comes to a grasp (`foretouch.grasp.hand` finds it)."""
 
     approach: (
@@ -50,8 +67,14 @@ class WayIn(Summarised):
         return replace(self, thumb_at="g1" if self.thumb_at == "g2" else "g2", approaches=swapped)
 
 
+_WAY: Final = ((WayIn, NoneType), "a WayIn, as of plan(target, hand=…)")
+_TYPES: Final[dict[str, tuple[Any, str]]] = {"id": TEXT, "object_id": TEXT, "way": _WAY, "flags": FLAGS}
+_PLAN_TYPES: Final = {"status": TEXT, "reason": TEXT}
+"""Types of fields, and what they are in words."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Grasp(Summarised):
+class Grasp(Summarised, ByValue):
     """Two contacts and the orientation of the hand (P2: g1, g2, R).
 
     Raises:
@@ -77,8 +100,7 @@ class Grasp(Summarised):
                 raise GraspError(f"{name}: shape {array.shape} is not {shape}")
             object.__setattr__(self, name, array)
         object.__setattr__(self, "score", scalar(self.score, "score", GraspError))
-        if not isinstance(self.id, str):
-            raise GraspError(f"id: {quoted(self.id)} is not a text")
+        require_types(self, _TYPES, GraspError)
         if fault := contact_faults(self.g1[None], self.g2[None], self.rotation[None])[0]:
             raise GraspError(fault)
         if self.rotation.any():
@@ -123,6 +145,7 @@ class Grasp(Summarised):
 
     def moved(self, pose: Float64) -> Self:
         """Return the same grasp in another frame, in which `pose` (4, 4) is the frame of this one."""
+        pose = as_pose(pose, GraspError)
         return replace(
             self,
             g1=pose[:3, :3] @ self.g1 + pose[:3, 3],
@@ -180,17 +203,18 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
     # (K, 3, 3) float64, columns X, Y, Z of the hand in the cloud frame; zero where it is not given
     rotation: Float64 = column(3, 3, default=0.0)
     score: Float64 = column(default=np.nan)  # (K,) float64, higher is better; NaN if it is undefined
-    id: Objects = column(default="", dtype=object)  # (K,) texts, unique within a session
-    object_id: Objects = column(default="", dtype=object)  # (K,) texts, the objects for which they were planned
-    way: Objects = column(default=None, dtype=object)  # (K,) `WayIn` or None: how the hand comes to each
+    id: Objects = column(default="", dtype=TEXT)  # (K,) texts, unique within a session
+    object_id: Objects = column(default="", dtype=TEXT)  # (K,) texts, the objects for which they were planned
+    way: Objects = column(default=None, dtype=_WAY)  # (K,) `WayIn` or None: how the hand comes to each
     flags: Objects = column(
-        default=(), dtype=object
+        default=(), dtype=FLAGS
     )  # (K,) tuples of texts: what speaks against each, such as `beside_unseen`
     status: str = "ok"  # of the plan: `ok`, `initial_points` or `no_grasp`
     reason: str = ""  # explanation of the status
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_types(self, _PLAN_TYPES, GraspError)
         require_rotations(self.rotation)
 
     def _summary(self) -> tuple[str, dict[str, str]]:
@@ -250,7 +274,7 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
             if isinstance(rows[0], np.ndarray):  # concatenate() takes half the time of array() for many small arrays
                 columns[name] = np.concatenate(rows).reshape(-1, *rows[0].shape)
             else:
-                columns[name] = rows
+                columns[name] = objects(rows) if name in _TYPES else rows  # which each grasp has checked
         return cls(**columns)
 
     @classmethod
@@ -260,6 +284,8 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
         Args:
             count: K, their number.
         """
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
+            raise GraspError(f"count: {quoted(count)} is not a number of grasps")
         nothing = np.full((count, 3), np.nan)
         return cls(nothing, nothing, np.full((count, 3, 3), np.nan))
 
@@ -278,6 +304,7 @@ class Grasps(Summarised, Tabular, Columns, Sequence[Grasp]):
 
     def moved(self, pose: Float64) -> Self:
         """Return the same grasps in another frame, in which `pose` (4, 4) is the frame of these."""
+        pose = as_pose(pose, GraspError)
         return self.replace(
             g1=self.g1 @ pose[:3, :3].T + pose[:3, 3],
             g2=self.g2 @ pose[:3, :3].T + pose[:3, 3],

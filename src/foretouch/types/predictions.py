@@ -10,7 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ForetouchError, TactileError, checked, require_type, shown
-from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, numbers, objects, plain
+from foretouch.types.arrays import (
+    FLAGS,
+    TEXT,
+    Bool,
+    ByValue,
+    Columns,
+    Float64,
+    Objects,
+    Rows,
+    column,
+    numbers,
+    objects,
+    plain,
+)
 from foretouch.types.channels import NO_CHANNELS, Channel, Channels
 from foretouch.types.grasps import Grasp, Grasps
 from foretouch.types.summary import Summarised, counted, names_of, spread, summary_text, tallied
@@ -29,7 +42,7 @@ _NO_CHANNELS: Final = "not Channels, such as model.sensor.channels"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Touch(Summarised):
+class Touch(Summarised, ByValue):
     """A tactile reading of both fingers, in the unit of each channel.
 
     Raises:
@@ -125,7 +138,7 @@ class Predicted(NamedTuple):
 
     def __repr__(self) -> str:
         return summary_text(
-            "Predicted", str(self.value.shape), {name: spread(end) for name, end in self._asdict().items()}
+            "Predicted", str(np.shape(self.value)), {name: spread(end) for name, end in self._asdict().items()}
         )
 
 
@@ -146,15 +159,18 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
     upper: Float64 = column(None, default=np.nan)  # (K, D) float64, upper bounds
     # (K,) tuples of `out_of_range`, `unfamiliar` and its reasons, `similar_touches`, `equal_pressure`, `off_object`,
     # `assumed_table`, `late`, `fallback_model`, `ambiguous_target`, `selected`, `unknown_frame` (docs/planners.md)
-    flags: Objects = column(default=(), dtype=object)
-    status: Objects = column(default="ok", dtype=object)  # (K,) `ok`, `bad_grasp`: no hand can execute it, or `refused`
-    reason: Objects = column(default="", dtype=object)  # (K,) why it was refused; "" if ok
-    reference: Objects = column(default="none", dtype=object)  # (K,) kind of the readings that it was adapted to
-    evidence: Objects = column(default=_NO_EVIDENCE, dtype=object)  # (K,) `Evidence`, the readings behind `reference`
+    flags: Objects = column(default=(), dtype=FLAGS)
+    status: Objects = column(default="ok", dtype=TEXT)  # (K,) `ok`, `bad_grasp`: no hand can execute it, or `refused`
+    reason: Objects = column(default="", dtype=TEXT)  # (K,) why it was refused; "" if ok
+    reference: Objects = column(default="none", dtype=TEXT)  # (K,) kind of the readings that it was adapted to
+    evidence: Objects = column(
+        default=_NO_EVIDENCE, dtype=(Evidence, "Evidence")
+    )  # (K,) `Evidence`, the readings behind `reference`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "value", numbers(self.value, "value", TactileError))
         require_type(self.channels, Channels, "channels", _NO_CHANNELS, TactileError)
+        require_type(self.grasps, Grasps, "grasps", "not Grasps, such as Grasps.of([grasp])", TactileError)
         for name in ("lower", "upper"):
             if (end := numbers(getattr(self, name), name, TactileError)).ndim == 0 and np.isnan(end):
                 object.__setattr__(self, name, np.full(np.shape(self.value), np.nan))
@@ -162,7 +178,8 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
         size = self.channels.size
         for name in ("value", "lower", "upper"):
             if (shape := getattr(self, name).shape) != (len(self), size):
-                raise TactileError(f"{name}: shape {shape} is not ({len(self)}, {size}) of {self.channels.sensor}")
+                rule = f"({len(self)}, {size}) of {self.channels.sensor or 'no sensor: pass channels'}"
+                raise TactileError(f"{name}: shape {shape} is not {rule}")
 
     def _instead(self, name: str) -> str:
         return f'predictions["{name}"]' if name in self.channels.part_names else super()._instead(name)
@@ -204,6 +221,7 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
             status: Of all, or a list of K.
             reason: Of all, or a list of K.
         """
+        require_type(channels, Channels, "channels", _NO_CHANNELS, TactileError)
         columns: dict[str, Any] = {"status": status, "reason": reason}
         return cls(np.full((len(grasps), channels.size), np.nan), grasps, channels, **columns)
 
@@ -224,13 +242,15 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
     def marked(self, *marks: tuple[str, Bool | bool]) -> "Predictions":
         """Return the same predictions with further flags: pairs of a name, and of the rows as of `flagged`; in this order."""
         flags = self.flags.tolist()
-        for flag, rows in marks:
-            if rows is False or not (rows is True or rows.any()):
+        for mark in marks:
+            flag, rows = mark if isinstance(mark, tuple) and len(mark) == 2 else (mark, None)
+            mask = _mask_of(flag, rows, len(flags))
+            if mask is False or not (mask is True or mask.any()):
                 continue
-            if rows is True or rows.all():
+            if mask is True or mask.all():
                 flags = [(*own, flag) for own in flags]
             else:
-                flags = [(*own, flag) if mark else own for own, mark in zip(flags, rows.tolist(), strict=True)]
+                flags = [(*own, flag) if mark else own for own, mark in zip(flags, mask.tolist(), strict=True)]
         result = copy.copy(self)  # whose other columns are checked
         object.__setattr__(result, "flags", objects(flags))
         return result
@@ -243,7 +263,7 @@ class Predictions(Summarised, Tabular, Columns, Sequence["Prediction"]):
     def __getitem__(self, rows: Rows) -> "Predictions": ...
     def __getitem__(self, rows: int | str | Rows) -> "Prediction | Predicted | Predictions":
         if isinstance(rows, int | np.integer):
-            return Prediction(self, self.place_of(rows))
+            return Prediction(self, rows)
         if isinstance(rows, str):
             return Predicted(*(self.channels.part(end, rows) for end in (self.value, self.lower, self.upper)))
         return self.take(rows)
@@ -258,7 +278,10 @@ class Prediction(Summarised):
     __slots__ = ("_k", "_rows")
 
     def __init__(self, rows: Predictions, k: int = 0) -> None:
-        self._rows, self._k = rows, k
+        require_type(
+            rows, Predictions, "rows", "not Predictions, such as of model.predict(object, grasps)", TactileError
+        )
+        self._rows, self._k = rows, rows.place_of(k)
 
     @classmethod
     def of(
@@ -273,10 +296,18 @@ class Prediction(Summarised):
             upper: Upper bounds; NaN by default.
             others: Further columns of `Predictions` by name, such as `flags` and `reference`.
         """
+        for name, end in {"value": value, "lower": lower or value, "upper": upper or value}.items():
+            require_type(end, Touch, name, "not a Touch, such as Touch(values, model.sensor.channels)", TactileError)
         lower, upper = (end or Touch.unknown(value.channels) for end in (lower, upper))
-        columns = {name: objects([cell]) for name, cell in others.items()}
+        columns: dict[str, Any] = {name: [cell] for name, cell in others.items()}
         ends = {"lower": lower.values[None], "upper": upper.values[None]}
         return cls(Predictions(value.values[None], Grasps.of([grasp]), value.channels, **ends, **columns))
+
+    def __eq__(self, other: object) -> bool:
+        return self.row == other.row if isinstance(other, Prediction) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.row)
 
     def __getitem__(self, name: str) -> Predicted:
         """Return values and bounds of a channel, such as E: (F, N), or (F,) of a scalar; a `TactileError` names an unknown one."""
@@ -381,6 +412,23 @@ class Prediction(Summarised):
         """The readings behind `reference`."""
         evidence: Evidence = self._rows.evidence[self._k]
         return evidence
+
+
+def _mask_of(flag: Any, rows: Any, count: int) -> Bool | bool:
+    """Return the rows that get a flag; a `TactileError` if they are no mask, or the flag is no text."""
+    mask = rows if isinstance(rows, bool) else np.asarray(rows)
+    if (
+        not isinstance(mask, bool)
+        and mask.dtype.kind in "iu"
+        and mask.shape == (count,)
+        and np.isin(mask, (0, 1)).all()
+    ):
+        mask = mask.astype(np.bool_)
+    fits = isinstance(mask, bool) or (mask.dtype.kind == "b" and mask.shape in ((), (count,)))
+    if not fits or not isinstance(flag, str):
+        rule = f"is no name with True, or with a mask of shape ({count},)"
+        raise TactileError(f"flag: {shown(flag, 60)}, {shown(rows, 60)}: {rule}")
+    return mask
 
 
 _MODALITIES: Final = 5  # of a summary

@@ -8,10 +8,10 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from foretouch.errors import DatasetError, none_of, shown
-from foretouch.types.arrays import AnyArray, Float32, Int64, UInt8, plain, require_types
+from foretouch.errors import DatasetError, none_of, require_type, shown
+from foretouch.types.arrays import FLAGS, TEXT, AnyArray, Float32, Int64, UInt8, plain, require_types
 from foretouch.types.cloud import NO_CLOUD, Cloud, Plane
-from foretouch.types.grasps import NO_GRASP, Grasp
+from foretouch.types.grasps import NO_GRASP, Grasp, Grasps
 from foretouch.types.predictions import Touch
 from foretouch.types.summary import Summarised, briefly, counted, names_of
 
@@ -55,7 +55,11 @@ class TouchSeries(Summarised):
 
 _STAMPS: Final = ("stamp_ns", "contact_ns", "pairing_error_ns")
 _TYPES: Final[dict[str, tuple[Any, str]]] = {
-    **dict.fromkeys(("id", "object", "note", "detector", "outcome"), (str, "a text")),
+    **dict.fromkeys(("id", "object", "note", "detector", "outcome"), TEXT),
+    "grasp": (Grasp, "a Grasp, such as grasps[0]"),
+    "candidates": ((tuple, list, Grasps), "a tuple of grasps"),
+    "extra": (Mapping, "numbers by name"),
+    "flags": FLAGS,
     **dict.fromkeys(("touch", "tare"), ((Touch, NoneType), "a Touch")),
     "series": ((TouchSeries, NoneType), "a TouchSeries"),
     "table": ((Plane, NoneType), "a Plane"),
@@ -101,6 +105,8 @@ class Sample(Summarised):
             object.__setattr__(self, "table", None)
         require_types(self, _TYPES, DatasetError)
         values = vars(self)
+        if "cloud" in values:
+            require_type(self.cloud, Cloud, "cloud", "not a Cloud, such as object.cloud", DatasetError)
         for name in _STAMPS:
             if not -_LATEST_NS < (values[name] or 0) < _LATEST_NS:
                 raise DatasetError(f"{name}: {shown(values[name])} is no time [ns]")
@@ -117,7 +123,7 @@ class Sample(Summarised):
             "object": shown(self.object, 60),
             "cloud": briefly(vars(self)["cloud"]) if "cloud" in vars(self) else "is read when it is used",
             "table": "not known" if self.table is None else briefly(self.table),
-            "grasp": briefly(self.grasp),
+            "grasp": "not known" if self.grasp == NO_GRASP else briefly(self.grasp),
             "touch": "" if self.touch is None else briefly(self.touch),
             "tare": "" if self.tare is None else briefly(self.tare),
             "series": "" if series is None else counted(len(series.stamps_ns), "reading"),

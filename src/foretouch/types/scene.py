@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CallError, CloudError, checked, shown
-from foretouch.types.arrays import Float32, Float64, Int32, Int64, numbers, require_types
+from foretouch.types.arrays import FLAGS, TEXT, Float32, Float64, Int32, Int64, numbers, require_types, scalar
 from foretouch.types.cloud import Cloud, Plane, require_cloud
 from foretouch.types.summary import Summarised, briefly, counted, names_of, tallied
 
@@ -76,14 +76,14 @@ _OBJECT_TYPES: Final[dict[str, tuple[Any, str]]] = {
     "plane": (Plane, _PLANE),
     "pixels": (np.ndarray, "an array of flat indices"),
     "image_shape": ((tuple, NoneType), "(H, W)"),
-    "flags": (tuple, "a tuple of texts"),
+    "flags": FLAGS,
     "obstacles": _OF_SEVERAL,
     "image": ((Cloud, NoneType), "a Cloud of points [m]"),
     "confidence": (_NUMBER, "a number"),
-    "background": (str, "a text"),
+    "background": TEXT,
 }
 _SCENE_TYPES: Final[dict[str, tuple[Any, str]]] = {
-    **dict.fromkeys(("status", "reason"), (str, "a text")),
+    **dict.fromkeys(("status", "reason"), TEXT),
     "cloud": _CLOUD,
     "table": ((Plane, NoneType), _PLANE),
     **dict.fromkeys(("objects", "background", "targets"), (tuple, "a tuple of objects")),
@@ -121,8 +121,8 @@ class Object(Summarised):
             if array.shape != shape:
                 raise CloudError(f"{name}: shape {array.shape} is not {shape}; Object.of(id, cloud, plane) computes it")
             object.__setattr__(self, name, array)
-        if wrong := [flag for flag in self.flags if not isinstance(flag, str)]:
-            raise CloudError(f"flags: {shown(wrong[0])} is not a text")
+        if self.confidence is not None and (self.confidence < 0.0 or self.confidence > 1.0):
+            raise CloudError(f"confidence: {self.confidence:g} is not between 0 and 1")
 
     def _summary(self) -> tuple[str, dict[str, str]]:
         size = " x ".join(f"{side:.2f}" for side in (self.bounds[1] - self.bounds[0]).tolist())
@@ -255,10 +255,7 @@ class Scene(Summarised):
         Raises:
             CloudError: If no object is so near, or the position is not three finite numbers.
         """
-        try:
-            position = np.asarray(point, np.float64)
-        except (TypeError, ValueError, OverflowError):
-            position = np.empty(0)
+        position, tolerance_m = numbers(point, "point", CloudError), scalar(tolerance_m, "tolerance_m", CloudError)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise CloudError(f"point: {shown(point)} is not three finite numbers [m]")
         away = [

@@ -41,7 +41,7 @@ class Summarised:
                 raise AttributeError(f"{type(self).__name__} has no {name}")
             known = [each for each in dir(self) if not each.startswith("_")]
             meant = self._instead(name)
-            cure = f"; write {meant}" if meant else nearest(name, known) or f"; there are {', '.join(known)}"
+            cure = f"; write {meant}" if meant else nearest(name, known, 0.6) or f"; there are {', '.join(known)}"
             raise UnknownAttributeError(f"{type(self).__name__}: has no {name}{cure}")
 
     def _instead(self, name: str) -> str:

@@ -24,7 +24,7 @@ from foretouch.cloud.io.depth_messages import camera_model
 from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.cloud.io.mask_files import MASK_SUFFIXES
 from foretouch.config import EMPTY, load_yaml
-from foretouch.errors import CloudError, ConfigError, FileError, described, none_of, shown
+from foretouch.errors import CloudError, ConfigError, FileError, described, none_of, require_type, shown
 from foretouch.types import AnyArray, CameraModel, Cloud, UInt8
 from foretouch.types.camera import MODELS, check_image
 
@@ -73,6 +73,7 @@ class DepthCamera:
     )  # what is odd about the cameras of the images so far
 
     def __post_init__(self) -> None:
+        require_type(self.intrinsics, tuple | list, "--intrinsics", "not the numbers (fx, fy, cx, cy)", ConfigError)
         twice = [name for name in self.stated if name in ("--intrinsics", "--camera-info", "--info-topic")]
         if len(twice) > 1:
             raise ConfigError(f"{', '.join(twice)}: state the camera twice; give one of them")

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from foretouch.dataset.identity import check_id, name_of
 from foretouch.dataset.labelling.cut import PairingError, label_series
 from foretouch.dataset.labelling.stamps import read_stamps, stamp_faults
-from foretouch.errors import DatasetError, none_of, shown
+from foretouch.errors import DatasetError, none_of, require_type, shown
 from foretouch.tactile.description import Sensor
 from foretouch.types import (
     APPROACH,
@@ -178,6 +178,7 @@ class GraspArrays:
 
     def _others(self, count: int, missing: Missing) -> tuple[dict[str, AnyArray], int]:
         """Return the further numbers of `count` readings as float32 by name, and how many of them are missing."""
+        require_type(self.others, Mapping | None, "others", "not a mapping of names to their numbers", DatasetError)
         further = {
             name_of(key, "others"): numbers(other, f"others: {key}", DatasetError).reshape(-1)
             for key, other in (self.others or {}).items()

@@ -15,13 +15,13 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.base.processes import process_pool
-from foretouch.errors import DatasetError, none_of
+from foretouch.errors import ConfigError, DatasetError, none_of, quoted
 from foretouch.types import Float64, Index, Sample
 from foretouch_lab.dataset.store_writer import SampleFacts
 
@@ -61,7 +61,11 @@ def predict_folds(jobs: Mapping[str, tuple[HoldOut, Sequence[Fold]]], workers: i
     Args:
         jobs: By name, what predicts a fold, and the folds, which test each sample once.
         workers: Number of processes.
+
+    Raises:
+        ConfigError: If the number of processes is none.
     """
+    _require_whole(workers, "workers", 1)
     parts = zip(*[(predict, fold) for predict, folds in jobs.values() for fold in folds], strict=True)
     with process_pool(workers) if workers > 1 else nullcontext() as pool:
         predicted = iter(list(map(_predict, *parts) if pool is None else pool.map(_predict, *parts)))
@@ -71,6 +75,12 @@ def predict_folds(jobs: Mapping[str, tuple[HoldOut, Sequence[Fold]]], workers: i
         result[name] = np.empty_like(rows)
         result[name][np.concatenate([fold.test for fold in folds])] = rows
     return result
+
+
+def _require_whole(value: Any, name: str, least: int) -> None:
+    """Refuse what is no whole number from the least one on."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ConfigError(f"{name}: {quoted(value)} is not a whole number from {least}")
 
 
 def _predict(predict: HoldOut, fold: Fold) -> Float64:
@@ -86,8 +96,11 @@ def make_folds(samples: Sequence[Sample | SampleFacts], split: str, seed: int | 
         seed: Of the random split.
 
     Raises:
+        ConfigError: If the seed is no whole number from 0.
         DatasetError: If there is no such split, or there are too few samples for it.
     """
+    if not isinstance(seed, np.random.Generator | None):
+        _require_whole(seed, "seed", 0)
     objects = np.array([sample.object for sample in samples], np.str_)
     if split == "object":
         return group_folds(objects)

@@ -344,6 +344,8 @@ def guarantee(calibration: Mapping[str, Any]) -> str:
     """Return one line for a card, from the facts of `calibrate_on_folds`: the coverage that this many objects or shapes can guarantee."""
     new, unit = calibration["regimes"]["new"], calibration["left_out"]
     count = new["objects"]
+    if not new["coverage"]:
+        return f"Intervals of {calibration['level']:.0%}: from 1 of the {unit}, so that their coverage of others was not measured."
     coverage = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
     least = min(min(table.values()) for table in new["coverage"].values())
     return (

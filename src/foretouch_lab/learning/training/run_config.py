@@ -11,7 +11,7 @@ from typing import Any, Final, Self
 
 from foretouch.config import EMPTY, Settings, load_yaml, parse_overrides, setting
 from foretouch.doors import Door
-from foretouch.errors import ConfigError, nearest, quoted, shown
+from foretouch.errors import ConfigError, nearest, quoted, require_type, shown
 from foretouch.models.network.config import EACH, ModelConfig
 from foretouch.tactile import Ranges
 from foretouch.types.channels import Channels
@@ -153,6 +153,7 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
     Raises:
         ConfigError: If a file cannot be read, or a setting is unknown or out of bounds; names file, field and rule.
     """
+    require_type(config, str | Path, "recipe", f"neither a name, such as {', '.join(METHODS)}, nor a path", ConfigError)
     path = Path(config)
     folder = Path(str(resources.files("foretouch_lab.learning"))) / _RECIPES
     recipes = {recipe_file.stem: recipe_file for recipe_file in sorted(folder.glob("*.yaml"))}

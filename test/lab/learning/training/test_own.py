@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Own predictors, calibrated and scored: held-out errors, and never those on what was learned by heart."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from experiment_samples import make_samples
@@ -8,6 +11,7 @@ from own_predictors import Bad, Constant, Familiar, Memory
 
 import foretouch as ft
 from foretouch.errors import ConfigError, DatasetError, ModelError
+from foretouch.types import NO_GRASP
 from foretouch_lab.learning.evaluation.baselines import BASELINES
 from foretouch_lab.learning.training.scoring import evaluate
 
@@ -116,6 +120,32 @@ def test_what_cannot_be_calibrated_is_refused_in_one_line() -> None:
 def test_splits_that_do_not_exist_are_refused_in_one_line(splits, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         ft.evaluate(Constant, SAMPLES, splits=splits)
+
+
+FEWER = [replace(sample, grasp=NO_GRASP) for sample in SAMPLES]
+WRONG: dict[str, tuple[Callable[[], object], str]] = {
+    **{
+        f"calibrate of {options}": (lambda options=options: ft.calibrate(Constant, SAMPLES, "random", **options), f"{next(iter(options))}: .* is not a whole number from")
+        for options in ({"seed": -1}, {"seed": "x"}, {"seed": 1.5}, {"workers": 0}, {"workers": "all"}, {"workers": True})
+    },
+    "fit by no recipe": (lambda: ft.fit(SAMPLES, None), "recipe: None is neither a name"),
+    "fit of two datasets": (lambda: ft.fit(SAMPLES, data="session"), "data: is given twice"),
+    "fit of grasps that are not known": (lambda: ft.fit(FEWER, calibrate=False), "grasp: is not known"),
+    "fit with intervals of one object": (lambda: ft.fit(SAMPLES[:5], calibrate=True, contact={"trees": 2}), "calibrate: No calibration: "),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_cannot_be_fitted_or_calibrated_is_named(name: str) -> None:
+    call, message = WRONG[name]
+    with pytest.raises(ft.ForetouchError, match=message):
+        call()
+
+
+def test_intervals_of_one_object_say_that_others_were_not_measured() -> None:
+    model = ft.calibrate(Constant(), SAMPLES[:5], "random")
+    assert model.calibration is not None
+    assert "coverage of others was not measured" in model.card["limits"][0]
 
 
 def test_a_predictor_is_scored_by_its_name() -> None:
