@@ -134,7 +134,8 @@ class FingerScale:
         unit = f" {self.view.channel.unit}" if self.view.channel.unit else ""
         widest = self.view.channel.text(self.widest)
         ring = [f"grey ring: 90 % interval, the widest ±{widest}{unit}"] if self.widest > 0.0 else []
-        names = ["E: electrode, PDC: pressure"] if self.view.sensor.is_biotac else []
+        scalars = [f"{channel.name}: the whole finger" for channel in self.view.sensor.scalar_channels]
+        names = [", ".join([f"{self.view.channel.name}: each taxel", *scalars])] if scalars else []
         marks = "; ".join([*ring, *sorted(self.marks)])
         return "\n".join(filter(None, (self.view.label(from_rest=self.tared), *names, marks)))
 
