@@ -257,8 +257,8 @@ def _show(arguments: argparse.Namespace) -> int:
         title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
         save_series_sheet(arguments.out, selected, title, sensor)
     dropped = [sample.id for sample in selected if DISCARDED in sample.flags]
-    record = {"out": str(arguments.out), "samples": [sample.id for sample in selected], "dropped": dropped}
-    record["dead_taxels"] = sensor.dead
+    record: dict[str, Any] = {"out": str(arguments.out), "samples": [sample.id for sample in selected]}
+    record |= {"dropped": dropped, "dead_taxels": sensor.dead}
     return print_result("drawn", record, as_json=arguments.json)
 
 
