@@ -74,7 +74,7 @@ SAME = {  # read by the same code as above
     **{(command, "--config"): ("segment", "--config") for command in ("grasp", "predict", "view")},
     **{(command, "--camera-info"): ("segment", "--camera-info") for command in ("grasp", "predict", "view", "run", "replay")},
     **{(command, "--mask"): ("segment", "--mask") for command in ("grasp", "predict")},
-    **{(command, "--hand"): ("grasp", "--hand") for command in ("predict", "view")},
+    **{(command, "--hand"): ("grasp", "--hand") for command in ("predict", "view", "run")},
     **{("view", option): ("predict", option) for option in ("--tare", "--touched", "--history")},
     **{(command, "--sensor"): ("sensor check", "descriptions") for command in ("dataset import", "record")},
     ("sensor show", "descriptions"): ("sensor check", "descriptions"),

@@ -50,5 +50,5 @@ def test_at_most_ten_functions_are_between_the_callback_and_the_model(graph, sce
     (callback,) = (stack for stack in seen.values() if stack)
     callback = callback[next(k for k, name in enumerate(callback) if name.endswith("._take")) :]
     passed = [*callback, "BoundedQueue.put", *worker]
-    assert worker[-2:] == ["TouchModel.predict", "TouchModel.estimate"]
+    assert worker[-2:] == ["TouchModel.predict", "TouchModel._estimate"]
     assert len(passed) <= 10, passed

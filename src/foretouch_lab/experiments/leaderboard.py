@@ -22,6 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.base.files import file_sha256
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.models.own import PREDICTORS as INSTALLED
@@ -162,11 +163,9 @@ def _hash_of(name: str, model: Any) -> str:
     if isinstance(model, TouchModel):
         return model.sha256[:16]
     if isinstance(model, RunConfig):
-        content = json.dumps(model.to_mapping(), sort_keys=True).encode()
-    else:
-        module = sys.modules.get(name.partition(":")[0]) or sys.modules[type(model).__module__]
-        content = Path(str(module.__file__)).read_bytes()
-    return hashlib.sha256(content).hexdigest()[:16]
+        return hashlib.sha256(json.dumps(model.to_mapping(), sort_keys=True).encode()).hexdigest()[:16]
+    module = sys.modules.get(name.partition(":")[0]) or sys.modules[type(model).__module__]
+    return file_sha256(str(module.__file__))[:16]
 
 
 _Scored = dict[str, dict[str, list[Evaluation]]]  # by split and predictor, one of each seed

@@ -170,7 +170,7 @@ def test_results_are_rounded_and_read_back_as_they_were(tmp_path) -> None:
 
 def test_summary_states_how_results_were_made_also_without_the_manifest(sweep, out, numbers, in_this_process) -> None:
     result = sweep(settings={"cells": 2, "broken": (5,)})
-    write_summary(out, EXPERIMENT, EXPERIMENT.tables(result.rows), result.origin)
+    write_summary(out, EXPERIMENT, EXPERIMENT.tables(result.rows), result.origin())
     text = (out / "summary.md").read_text()
     assert "`foretouch experiment counting cells=2 'broken=[5]'`; foretouch" in text
     assert f"sha256 of the data `{hashlib.sha256(numbers.read_bytes()).hexdigest()[:16]}`" in text

@@ -128,7 +128,7 @@ def test_an_area_gives_table_and_picture_and_is_timed_again_with_its_skills(lab:
     assert "--resume" in run()[1]
     assert run("--resume")[1]["reused"] == 1  # no cell was run
     origin = summary.read_text().splitlines()[2]
-    assert origin.startswith("`foretouch tradeoff pi --preset small`; foretouch ")
+    assert origin.startswith(f"`foretouch tradeoff pi --preset small --data {lab / 'data.txt'}`; foretouch ")
     shutil.rmtree(lab / "out/cells")  # as published results are
     (lab / "out/manifest.json").unlink()
     again = table.read_text()
