@@ -40,6 +40,8 @@ def test_a_command_adds_the_row_of_an_own_predictor_and_keeps_the_others(call, w
     )  # it can be repeated
     assert "own_predictors:Constant, given as it is" in page
     assert (tmp_path / "out" / "leaderboard.png").stat().st_size > 10_000
+    assert "32 cells (32 reused)" in call(*words, "--resume").out  # without --model, all rows stay
+    assert read_results(tmp_path / "out" / "results.csv") == rows
 
 
 def test_a_changed_predictor_is_fitted_again_and_finished_baselines_stay(call, words, tmp_path, monkeypatch) -> None:

@@ -403,6 +403,7 @@ REFUSED: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "a cloud of a scene": (lambda one: one.update(cloud=ft.Cloud(CAN * [20.0, 1.0, 1.0])), "cloud: xyz: the object extends 2 m, more than max_extent_m"),
     "a grasp in millimetres": (lambda one: one.update(cloud=ft.Cloud(CAN), grasp=held(1e3)), "grasp: g1, g2: 70 m apart"),
     "a grasp of another place": (lambda one: one.update(cloud=ft.Cloud(CAN), grasp=held(1.0, 30.0)), "grasp: g1: .* m from the object"),
+    "a grasp in another frame": (lambda one: one.update(cloud=ft.Cloud(CAN), grasp=held(1.0, 0.5)), "grasp: g1: .* m from the object.*; are both in metres and in one frame"),
     "a table in millimetres": (lambda one: one.update(cloud=ft.Cloud(CAN), table=ft.Plane([0, 0, 1], -900.0)), "plane: is 900 m away"),
     "a grasp without a rotation": (lambda one: one.update(grasp=ft.Grasp([0, 0.07, 0.9], [0, 0, 0.9])), "grasp: rotation: is not given"),
     "others that are no mapping": (lambda one: one.update(others=3), "others: 3 is not a mapping"),

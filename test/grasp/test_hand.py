@@ -410,6 +410,10 @@ def test_descriptions_that_break_a_rule_are_refused(tmp_path: Path) -> None:
         ),
         "joints unknown": ({"postures.0.angles": [0.5]}, "postures[0].angles: 1 of 0 joints"),
         "twice": ({"joints": [joint, joint], "postures.0.angles": [0, 0]}, "joints: J1 occurs twice"),
+        "both fingers at one contact": (
+            {"postures.0.boxes.2.part": "finger", "postures.0.boxes.3.part": "finger"},
+            "postures[0].boxes: none is of the thumb",
+        ),
         "a finger in the palm": ({"boxes.0.part": "thumb"}, "boxes: hold the palm"),
         "two numbers": ({"postures.0.xyz": [0, 0]}, "xyz: [0.0, 0.0] are not three numbers"),
         "unknown key": ({"openning_m": 0.1}, "openning_m"),

@@ -2,6 +2,7 @@
 """Depth images to points: by hand, against librealsense, and against an inverse by SciPy and one of 40 digits."""
 
 import tracemalloc
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,16 @@ def test_a_pixel_by_hand() -> None:
     assert (cloud.frame_id, cloud.stamp_ns, cloud.camera) == ("camera", 7, CameraModel(5, 3, 10.0, 5.0, 2.0, 1.0))
     assert np.array_equal(cloud.xyz, Cloud.from_depth(depth, (10.0, 5.0, 2.0, 1.0)).xyz, equal_nan=True)
     np.testing.assert_allclose(Cloud.from_depth(depth, matrix, 1e-4).xyz[2, 4], cloud.xyz[2, 4] / 10.0, rtol=1e-6)
+
+
+def test_a_cropped_image_with_the_camera_of_the_whole_is_remarked() -> None:
+    depth = np.full((48, 64), 500, np.uint16)
+    with pytest.warns(UserWarning, match=r"cx, cy 31.5, 23.5 are .* subtract the first column and row") as told:
+        Cloud.from_depth(depth[:, 12:], (60.0, 60.0, 31.5, 23.5))
+    assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Cloud.from_depth(depth, (60.0, 60.0, 31.5, 23.5))
 
 
 def test_every_type_of_depth_gives_the_same_points() -> None:

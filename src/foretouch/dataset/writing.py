@@ -26,7 +26,7 @@ from foretouch.dataset.recordings.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import CloudError, DatasetError, ForetouchError, checked, require_type, shown
 from foretouch.grasp import closing_faults
-from foretouch.grasp.reach import EXECUTED_M, reach_faults
+from foretouch.grasp.reach import ASTRAY_M, EXECUTED_M, reach_faults
 from foretouch.tactile import touch_faults
 from foretouch.tactile.description import Sensor, load_sensor
 from foretouch.types import Grasps, Sample
@@ -136,20 +136,33 @@ def _made_of(
 
 def _fault(sample: Sample, limits: ObjectLimits) -> str:
     """Return why a grasp cannot have been executed on an object, or a reading be that of working sensors; "" if both can."""
-    grasps, xyz = Grasps.of([sample.grasp]), sample.cloud.xyz
     if not sample.grasp.rotation.any():
         return "grasp: rotation: is not given; model.predict(object, grasps).grasps has it"
+    if fault := place_fault(sample, limits):
+        return fault
+    readings = {"touch": sample.touch, "tare": sample.tare}
+    faults = [(name, fault) for name, read in readings.items() if read is not None for fault in touch_faults(read)]
+    return next((f"{name}: {fault}" for name, fault in faults if fault), "")
+
+
+def place_fault(sample: Sample, limits: ObjectLimits) -> str:
+    """Return why a grasp cannot have been executed on an object, as with millimetres or in another frame; "" if it can.
+
+    Args:
+        sample: With cloud and grasp.
+        limits: Of the object and its table.
+    """
+    grasps, xyz = Grasps.of([sample.grasp]), sample.cloud.xyz
     try:
         check_object(xyz, limits)
         if sample.table is not None:
             check_table(sample.table, limits, xyz)
     except CloudError as err:
         return f"cloud: {err}"
-    reach = reach_faults(grasps, xyz, EXECUTED_M, limits.max_range_m) if np.isfinite(xyz).any() else []
-    faults = [("grasp", fault) for fault in (*closing_faults(grasps), *reach)]
-    for name, reading in (("touch", sample.touch), ("tare", sample.tare)):
-        faults += [(name, fault) for fault in (() if reading is None else touch_faults(reading))]
-    return next((f"{name}: {fault}" for name, fault in faults if fault), "")
+    reach = reach_faults(grasps, xyz, EXECUTED_M, ASTRAY_M) if np.isfinite(xyz).any() else []
+    fault = next(filter(None, (*closing_faults(grasps), *reach)), "")
+    frame = "; are both in metres and in one frame?" if fault in reach else ""
+    return f"grasp: {fault}{frame}" if fault else ""
 
 
 def _sample_of(number: int, record: object, sensor: Sensor, missing: Missing, remarks: Remarks) -> Sample:

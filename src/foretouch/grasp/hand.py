@@ -141,6 +141,12 @@ class HandDescription(Settings):
                     raise ConfigError(f"{where}.angles: {joint.name} {angle:g} is outside of its limits, {limits}")
             if [box.name for box in posture.boxes] != [box.name for box in self.postures[0].boxes]:
                 raise ConfigError(f"{where}.boxes: differ from postures[0] in name or order")
+        fingers = {box.part for box in self.postures[0].boxes} & {FINGER, THUMB}
+        if len(fingers) == 1:
+            absent = ({FINGER, THUMB} - fingers).pop()
+            raise ConfigError(
+                f"postures[0].boxes: none is of the {absent}, which takes the other contact; set its part: {absent}"
+            )
         if any(box.part != PALM for box in self.boxes):
             raise ConfigError("boxes: hold the palm; boxes of fingers stand in `postures`")
         twice = [joint.name for joint in self.joints]

@@ -24,6 +24,9 @@ _nearest_squares = Kernel("nearest_squares")
 EXECUTED_M: Final = 2.0
 """Width of a grasp that was executed with whatever hand: wider ones are in another unit [m]."""
 
+ASTRAY_M: Final = 0.3
+"""Distance of an executed contact from the nearest point of its object, from which on they are in different frames [m]."""
+
 OFF_OBJECT: Final = "off_object"
 """Flag of a grasp with a contact in the air: the camera sees that the object is not there."""
 

@@ -2,6 +2,7 @@
 """Point clouds and planes."""
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -98,11 +99,16 @@ class Cloud(Summarised):
         Raises:
             CloudError: If the image is no depth image, `K` is not of its size, or its unit is not plausible. The message
                 names the argument.
+
+        Warns:
+            UserWarning: If `cx`, `cy` lie so far off the middle that the image may have been cropped.
         """
         image = as_image(depth)
         if not isinstance(K, CameraModel):
             height, width = check_image(image)
             K = CameraModel.of(K, width, height, distortion)  # noqa: N806
+            if K.remark:
+                warnings.warn(K.remark, stacklevel=3)
         elif distortion is not None:
             raise CloudError("distortion: is given twice, here and in the CameraModel")
         colours = None if rgb is None else _as_colours(rgb).copy()

@@ -31,10 +31,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; the exit status is 1 if a row could not be scored."""
     if arguments.subject not in _SUBJECTS:
         raise ConfigError(f"benchmark: {none_of(arguments.subject, _SUBJECTS)}")
-    if arguments.model:
-        before = []
-        if arguments.resume and arguments.out is not None and (arguments.out / MANIFEST_FILE).exists():
-            before = read_settings(arguments.out).get("models", [])
-        models = list(dict.fromkeys([*before, *arguments.model]))
-        arguments.overrides = [*arguments.overrides, f"models={json.dumps(models)}"]
+    before: list[str] = []
+    if arguments.resume and arguments.out is not None and (arguments.out / MANIFEST_FILE).exists():
+        before = read_settings(arguments.out).get("models", [])
+    if models := list(dict.fromkeys([*before, *(arguments.model or [])])):
+        arguments.overrides = [f"models={json.dumps(models)}", *arguments.overrides]
     return run_experiment(EXPERIMENT, arguments)

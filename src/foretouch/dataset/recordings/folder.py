@@ -156,7 +156,8 @@ def _require_same(path: Path, identity: Identity, sensor: Sensor) -> None:
         if old.get(name) != new.get(name)
     ]
     if differences:
-        raise FileError(path, f"is a dataset of another kind, record into a new one: {'; '.join(differences)}")
+        named = ", or name what is unknown here (identity.hand, identity.camera)" if "unknown" in new.values() else ""
+        raise FileError(path, f"is a dataset of another kind, record into a new one{named}: {'; '.join(differences)}")
 
 
 def _facts(identity: Identity, version: str, sensor: Sensor) -> dict[str, str]:

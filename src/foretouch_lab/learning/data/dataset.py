@@ -11,15 +11,17 @@ from typing import Any, Final, Self
 
 import numpy as np
 
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.formats.vision2tactile import folder_sha256
 from foretouch.dataset.samples import SampleSet, only_finite
 from foretouch.dataset.store import Store, content_sha256, sample_digest
+from foretouch.dataset.writing import place_fault
 from foretouch.errors import DatasetError, none_of, quoted
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
 from foretouch.tactile.description import Sensor, packaged_sensor, sensor_files
-from foretouch.types import Float64, Sample, Touch
+from foretouch.types import NO_GRASP, Float64, Sample, Touch
 from foretouch_lab.dataset.store_writer import SampleFacts
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.splits import SIDES, SPLITS_FILE, make_splits, parse_splits, read_splits
@@ -34,6 +36,7 @@ _VISION2TACTILE: Final = {
         "Skills are averages; whether they differ significantly is reported in docs/results.",
     ],
 }
+_ANY: Final = ObjectLimits(min_range_m=0.0, max_range_m=100.0, min_extent_m=1e-6, max_extent_m=10.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +250,15 @@ def dataset_from(samples: SampleSet | Sequence[Sample] | str | Path) -> Dataset:
         if not isinstance(sample, Sample):
             rule = "is not a Sample; pass a list of them, the path of a dataset, or what open(PATH) gives"
             raise DatasetError(f"samples: {number}: {type(sample).__name__} {rule}")
+        if fault := _fault(sample):
+            raise DatasetError(f"sample {number} ({sample.id}): {fault}")
     return dataset_of(listed)
+
+
+def _fault(sample: Sample) -> str:
+    """Return why a grasp cannot have been executed on a cloud of any size in any frame, as with millimetres; "" if it can."""
+    known = not np.array_equal([sample.grasp.g1, sample.grasp.g2], [NO_GRASP.g1, NO_GRASP.g2])
+    return place_fault(sample, _ANY) if known and len(sample.cloud.finite) else ""
 
 
 def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:

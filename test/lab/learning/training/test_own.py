@@ -122,6 +122,11 @@ def test_splits_that_do_not_exist_are_refused_in_one_line(splits, message: str) 
         ft.evaluate(Constant, SAMPLES, splits=splits)
 
 
+MILLIMETRES = [*SAMPLES[:9], replace(SAMPLES[9], cloud=ft.Cloud(1e3 * SAMPLES[9].cloud.xyz))]
+ASTRAY = [
+    replace(SAMPLES[0], grasp=replace(SAMPLES[0].grasp, g1=SAMPLES[0].grasp.g1 + 0.5, g2=SAMPLES[0].grasp.g2 + 0.5)),
+    *SAMPLES[1:9],
+]
 FEWER = [replace(sample, grasp=NO_GRASP) for sample in SAMPLES]
 WRONG: dict[str, tuple[Callable[[], object], str]] = {
     **{
@@ -131,6 +136,15 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
     "fit by no recipe": (lambda: ft.fit(SAMPLES, None), "recipe: None is neither a name"),
     "fit of two datasets": (lambda: ft.fit(SAMPLES, data="session"), "data: is given twice"),
     "fit of grasps that are not known": (lambda: ft.fit(FEWER, calibrate=False), "grasp: is not known"),
+    **{
+        f"{name} of samples in millimetres": (lambda call=call: call(MILLIMETRES), r"sample 9 \(.*\): cloud: xyz: .* is it in metres")
+        for name, call in {
+            "fit": ft.fit,
+            "calibrate": lambda samples: ft.calibrate(Constant, samples, "random"),
+            "evaluate": lambda samples: ft.evaluate(Constant, samples),
+        }.items()
+    },
+    "fit of a grasp in another frame": (lambda: ft.fit(ASTRAY), r"sample 0 \(.*\): grasp: g1.*are both in metres and in one frame"),
     "fit with intervals of one object": (lambda: ft.fit(SAMPLES[:5], calibrate=True, contact={"trees": 2}), "calibrate: No calibration: "),
 }  # fmt: skip
 
