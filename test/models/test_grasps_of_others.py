@@ -114,7 +114,11 @@ def test_what_a_hand_has_read_at_such_a_grasp_is_refused_by_name(tmp_path: Path)
     cases = {
         "touched": (GraspError, "^", lambda: ft.History(MODEL).touched(bad[3].cloud, turned, bad[3].touch)),
         "write": (DatasetError, r"^sample 3 \(campbells/3\): grasp: ", lambda: ft.write(tmp_path / "bad", bad)),
-        "fit": (DatasetError, "^campbells/3: grasp: ", lambda: ft.fit(bad, calibrate=False, contact={"trees": 3})),
+        "fit": (
+            DatasetError,
+            r"^sample 3 \(campbells/3\): grasp: ",
+            lambda: ft.fit(bad, calibrate=False, contact={"trees": 3}),
+        ),
     }
     every_case(cases, check)
     assert not (tmp_path / "bad").exists()
