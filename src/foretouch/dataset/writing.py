@@ -135,7 +135,7 @@ def _made_of(
 
 
 def _fault(sample: Sample, limits: ObjectLimits) -> str:
-    """Return why a grasp cannot have been executed on an object, or a reading be that of working sensors; "" if both can."""
+    """Name what is wrong with the grasp, the object or the readings of a sample; "" if nothing is."""
     if not sample.grasp.rotation.any():
         return "grasp: rotation: is not given; model.predict(object, grasps).grasps has it"
     if fault := place_fault(sample, limits):

@@ -155,6 +155,11 @@ class Grasp(Summarised, ByValue):
         )
 
     @property
+    def is_known(self) -> bool:
+        """Whether its contacts were given: those of `NO_GRASP` were not."""
+        return not np.array_equal([self.g1, self.g2], [NO_GRASP.g1, NO_GRASP.g2])
+
+    @property
     def midpoint(self) -> Float64:
         """(3,) float64 [m], the origin of the hand frame."""
         return (self.g1 + self.g2) / 2.0

@@ -123,7 +123,7 @@ class Sample(Summarised):
             "object": shown(self.object, 60),
             "cloud": briefly(vars(self)["cloud"]) if "cloud" in vars(self) else "is read when it is used",
             "table": "not known" if self.table is None else briefly(self.table),
-            "grasp": "not known" if self.grasp == NO_GRASP else briefly(self.grasp),
+            "grasp": briefly(self.grasp) if self.grasp.is_known else "not known",
             "touch": "" if self.touch is None else briefly(self.touch),
             "tare": "" if self.tare is None else briefly(self.tare),
             "series": "" if series is None else counted(len(series.stamps_ns), "reading"),

@@ -21,7 +21,7 @@ from foretouch.errors import DatasetError, none_of, quoted
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
 from foretouch.tactile.description import Sensor, packaged_sensor, sensor_files
-from foretouch.types import NO_GRASP, Float64, Sample, Touch
+from foretouch.types import Float64, Sample, Touch
 from foretouch_lab.dataset.store_writer import SampleFacts
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.splits import SIDES, SPLITS_FILE, make_splits, parse_splits, read_splits
@@ -257,8 +257,7 @@ def dataset_from(samples: SampleSet | Sequence[Sample] | str | Path) -> Dataset:
 
 def _fault(sample: Sample) -> str:
     """Return why a grasp cannot have been executed on a cloud of any size in any frame, as with millimetres; "" if it can."""
-    known = not np.array_equal([sample.grasp.g1, sample.grasp.g2], [NO_GRASP.g1, NO_GRASP.g2])
-    return place_fault(sample, _ANY) if known and len(sample.cloud.finite) else ""
+    return place_fault(sample, _ANY) if sample.grasp.is_known and len(sample.cloud.finite) else ""
 
 
 def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:

@@ -23,7 +23,7 @@ from foretouch.models.network.config import EACH
 from foretouch.models.network.preparation import LengthRangeCheck
 from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, P2_RANGES
-from foretouch.types import NO_GRASP, Float64, Grasps
+from foretouch.types import Float64, Grasps
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
@@ -67,7 +67,7 @@ class Learner(ABC):
         faults = closing_faults(Grasps.of([sample.grasp for sample in self.samples]))
         takes_grasp = not config.has_network or config.model.use_grasp
         for sample, fault in zip(self.samples, faults, strict=True):
-            if takes_grasp and np.array_equal([sample.grasp.g1, sample.grasp.g2], [NO_GRASP.g1, NO_GRASP.g2]):
+            if takes_grasp and not sample.grasp.is_known:
                 rule = (
                     "is not known, as without a camera; give the contacts that were executed, in the frame of the cloud"
                 )
