@@ -15,12 +15,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.clutter import frontier, lccp, models, physics, piles, rooms, whole
+from benchmarks.clutter import frontier, models, physics, piles, rooms, whole
 from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, recorded_objects, segment_anew
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, read_csv, replace_marked, write_csv
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import Int32
+from foretouch_lab.experiments.peers import find_lccp
 
 HERE: Final = Path(__file__).parent
 OURS, CLUSTERS, LCCP, PERFECT = "foretouch", "clusters alone", "LCCP of PCL", "perfect splitting of the clusters"
@@ -46,14 +47,16 @@ def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
         found[CLUSTERS].append((score(clusters, true), alone_ms, nan))
         found[PERFECT].append((score(np.where(clusters > 0, true, 0), true), nan, nan))
         every.append(clusters)
-    if (program := lccp.program()) is None:
+    if (lccp := find_lccp()) is None:
         print(f"{LCCP} is not measured (apt-get install libpcl-dev g++); the written rows keep the day they were taken")
     else:
-        peers = lccp.split([scene.cloud for scene in scenes], every, program, _PEER_RUNS)
-        found[LCCP] = [
-            (score(labels, _measured(scene, scene.labels)), alone_ms + ms, ms)
-            for scene, (labels, ms), (_, alone_ms, _) in zip(scenes, peers, found[CLUSTERS], strict=True)
-        ]
+        found[LCCP] = []
+        for scene, clusters, (_, alone_ms, _) in zip(scenes, every, found[CLUSTERS], strict=True):
+            labels, ms = (
+                lccp(scene.cloud, clusters),
+                cpu_ms(partial(lccp, scene.cloud, clusters), _PEER_RUNS, least=True),
+            )
+            found[LCCP].append((score(labels, _measured(scene, scene.labels)), alone_ms + ms, ms))
     kinds, rows = ["all", *dict.fromkeys(scene.kind for scene in scenes)], []
     for kind in kinds if len(kinds) > 2 else kinds[:1]:
         for method, answers in found.items():

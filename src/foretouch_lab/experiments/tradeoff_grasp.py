@@ -2,10 +2,11 @@
 """Area `grasp`: first grasps that hold against the time of a plan on one object.
 
 The objects are those that the default segmentation finds of `shared.touched_scenes`, which says what holds. How many grasps
-hold household objects that MuJoCo lifts and shakes is measured by `benchmarks/grasp_physics`.
+hold household objects that MuJoCo lifts and shakes is measured by `benchmarks/grasp_physics`. The published C++ GeoGrasp, where
+`foretouch_lab.experiments.peers` can compile it, gives the contacts of *original*.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import cycle
@@ -13,10 +14,14 @@ from typing import Final
 
 import numpy as np
 
+from foretouch.types import Grasp
 from foretouch.types.scene import Object
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, Variant, make_area
+from foretouch_lab.experiments.peers import find_geograsp
 from foretouch_lab.experiments.shared.touched_scenes import HARD, TIMED, SceneSettings, TouchedScenes, drawn_rows, share
+
+_CPP: Final = "C++ GeoGrasp, all points"
 
 
 def _variants() -> Iterator[Variant]:
@@ -27,6 +32,8 @@ def _variants() -> Iterator[Variant]:
     for count in (500, 2000, 8000):
         yield Variant(f"original, {count} points", "reference", {**original, "grasp.max_points": count})
     yield Variant("original, slab 4 mm", "reference", {**original, "grasp.slab_half_width_m": 0.004})
+    if find_geograsp() is not None:
+        yield Variant(_CPP, "reference", original)
 
 
 VARIANTS: Final = tuple(_variants())
@@ -44,12 +51,20 @@ class FoundObjects(TouchedScenes):
         return [(k, target) for k, target in found if target is not None]
 
 
+def _planner(variant: Variant, data: FoundObjects) -> Callable[[Object], Sequence[Grasp]]:
+    """Return what plans grasps on an object, best first."""
+    pipeline, published = data.pipeline(variant.values), find_geograsp()
+    if variant.name == _CPP and published is not None:
+        return lambda target: [published(target.cloud, target.plane, pipeline.config.grasp.tip_mm)]
+    return lambda target: pipeline.plan(target).grasps
+
+
 def _accuracy(skill: str, settings: SceneSettings, data: FoundObjects) -> Mapping[str, Row]:
     sums = {}
     for variant in VARIANTS:
-        pipeline, held = data.pipeline(variant.values), []
+        plan, held = _planner(variant, data), []
         for number, target in data.targets:
-            grasps = pipeline.plan(target).grasps
+            grasps = plan(target)
             held.append(bool(grasps) and data.read(number, grasps[0]) is not None)
         sums[variant.name] = np.array([(one, 1.0) for one in held])
     return drawn_rows(skill, sums, share, settings.bootstrap)
@@ -57,10 +72,10 @@ def _accuracy(skill: str, settings: SceneSettings, data: FoundObjects) -> Mappin
 
 def _timed(variant: Variant, _settings: SceneSettings, data: FoundObjects) -> Timed:
     """Return what plans one grasp on objects of all sizes, one after the other."""
-    pipeline = data.pipeline(variant.values)
+    plan = _planner(variant, data)
     ordered = sorted((target for _, target in data.targets), key=lambda target: target.cloud.size)
     chosen = np.linspace(0, len(ordered) - 1, min(TIMED, len(ordered))).astype(int)  # evenly spread
-    turn = cycle([partial(pipeline.plan, ordered[k]) for k in chosen])
+    turn = cycle([partial(plan, ordered[k]) for k in chosen])
     return lambda _: next(turn)(), 1.0
 
 

@@ -2,7 +2,8 @@
 """Area `scene`: objects found, and their masks, against the time of segmentation on a depth image.
 
 Four objects touch each other on each image, which has the faults of a depth camera (`shared.touched_scenes`). Beside
-foretouch stands what Open3D offers, where it is installed: the plane by RANSAC, and clusters of the points above it.
+foretouch stands what others offer, where it is installed: Open3D's plane by RANSAC, with clusters of the points above it, and
+PCL's LCCP, which splits foretouch's clusters by local convexity.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -18,6 +19,7 @@ from foretouch.camera.device import ensure_libusb
 from foretouch.types import Cloud, Int32
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, Variant, make_area
+from foretouch_lab.experiments.peers import find_lccp
 from foretouch_lab.experiments.shared.touched_scenes import (
     FOUND,
     HARD,
@@ -29,6 +31,8 @@ from foretouch_lab.experiments.shared.touched_scenes import (
 )
 
 _OPEN3D: Final = "Open3D: plane and clusters"
+_LCCP: Final = "our clusters, PCL: LCCP"
+_CLUSTERS: Final = {"segmentation.split.angle_deg": 180.0}  # alone: they are not split
 _VOXEL_M: Final = 0.004  # to which Open3D thins the points; neighbours are within two of them
 _ABOVE_M: Final = 0.008  # the plane
 
@@ -47,6 +51,8 @@ def _variants() -> Iterator[Variant]:
         yield Variant(name, factor, {f"segmentation.{key}": value for key, value in changes.items()})
     if find_spec("open3d"):
         yield Variant(_OPEN3D, "reference")
+    if find_lccp() is not None:
+        yield Variant(_LCCP, "reference", _CLUSTERS)
 
 
 VARIANTS: Final = tuple(_variants())
@@ -83,7 +89,9 @@ def _labels(variant: Variant, data: TouchedScenes) -> Callable[[Cloud], Int32]:
     """Return what labels the objects of a cloud."""
     if variant.name == _OPEN3D:
         return open3d_labels
-    pipeline = data.pipeline(variant.values)
+    pipeline, lccp = data.pipeline(variant.values), find_lccp()
+    if variant.name == _LCCP and lccp is not None:
+        return lambda cloud: lccp(cloud, pipeline.segment(cloud).labels)
     return lambda cloud: pipeline.segment(cloud).labels
 
 

@@ -18,6 +18,7 @@ from foretouch.cli.main import main
 from foretouch.errors import ConfigError
 from foretouch.pipeline import PipelineConfig
 from foretouch_lab.experiments import (
+    peers,
     tradeoff_chain,
     tradeoff_grasp,
     tradeoff_model,
@@ -255,6 +256,33 @@ def test_open3d_finds_objects_that_stand_apart(scenes_of_each_kind) -> None:
     assert min(easy.overlaps(0, tradeoff_scene.open3d_labels(easy.cloud(0)))) > 0.3
 
 
+def test_peers_in_cpp_are_named_where_they_can_be_compiled_and_a_wrong_checkout_is_refused(
+    monkeypatch, tmp_path
+) -> None:
+    monkeypatch.setenv("FORETOUCH_GEOGRASP", str(tmp_path))
+    monkeypatch.setattr(peers, "_SYSTEM", tmp_path / "none")
+    assert peers.find_lccp() is None
+    assert peers.find_geograsp() is None
+    monkeypatch.setattr(peers.shutil, "which", lambda _: "/usr/bin/g++")
+    (tmp_path / "none" / "pcl-1.13").mkdir(parents=True)
+    assert peers.find_lccp() is not None
+    with pytest.raises(ConfigError, match=f"FORETOUCH_GEOGRASP: {tmp_path} holds no .*; name a checkout of GeoGrasp"):
+        peers.find_geograsp()
+
+
+@pytest.mark.slow
+def test_the_published_geograsp_gives_the_contacts_of_original(scenes_of_each_kind) -> None:
+    if (published := peers.find_geograsp()) is None:
+        pytest.skip("the published GeoGrasp: needs g++, libpcl-dev and a checkout in FORETOUCH_GEOGRASP")
+    easy = scenes_of_each_kind[0]
+    data = FoundObjects(easy.scene, easy.depths, easy.labels, easy.slots)
+    pipeline = data.pipeline({"grasp.method": "original"})
+    for _, target in data.targets:
+        ours, theirs = pipeline.plan(target).grasps[0], published(target.cloud, target.plane, 25.0)
+        np.testing.assert_allclose([theirs.g1, theirs.g2], [ours.g1, ours.g2], atol=1e-4)
+        np.testing.assert_allclose(np.abs(theirs.rotation), np.abs(ours.rotation), atol=1e-3)
+
+
 def test_a_grasp_that_holds_is_read_and_one_beside_the_object_is_not(monkeypatch, scenes_of_each_kind) -> None:
     area, settings, easy = tradeoff_grasp.EXPERIMENT, SceneSettings(bootstrap=QUICK), scenes_of_each_kind[0]
     data = FoundObjects(easy.scene, easy.depths, easy.labels, easy.slots)
@@ -268,7 +296,7 @@ def test_a_grasp_that_holds_is_read_and_one_beside_the_object_is_not(monkeypatch
     monkeypatch.setattr(tradeoff_grasp, "VARIANTS", fewer)
     found = tradeoff_grasp._accuracy("held", settings, data)
     assert found["default"]["held"] == 1.0
-    assert area.timed(fewer[0], settings, data)[0](1).grasps
+    assert area.timed(fewer[0], settings, data)[0](1)
 
 
 def test_the_chain_multiplies_what_is_found_held_and_explained(monkeypatch, scenes_of_each_kind) -> None:

@@ -2,14 +2,11 @@
 // Split clusters of points by local convexity with PCL: pcl::LCCPSegmentation (Stein et al., Object Partitioning Using
 // Local Convexity, CVPR 2014) on the supervoxels of each cluster alone.
 //
-// Reads scenes from standard input until its end: int32 n, float32 xyz[n][3] [m], int32 cluster[n] (1 and up).
-// Writes for each scene: int32 label[n] (1 and up, 0 where the point has no supervoxel), float64 CPU time [ms].
-// Arguments: edge of a voxel [m], distance of seeds [m], concavity that is tolerated [deg].
+// A library that peers/__init__.py compiles and calls.
 
+#include <algorithm>
 #include <cstdint>
-#include <cstdio>
-#include <cstdlib>
-#include <ctime>
+#include <exception>
 #include <map>
 #include <vector>
 
@@ -62,34 +59,28 @@ static void split(const pcl::PointCloud<Point>::Ptr &cloud, const Settings &sett
   }
 }
 
-int main(int argc, char **argv) {
-  if (argc != 4) return 2;
-  const Settings settings{std::strtof(argv[1], nullptr), std::strtof(argv[2], nullptr), std::strtof(argv[3], nullptr)};
-  std::int32_t n = 0;
-  while (std::fread(&n, sizeof n, 1, stdin) == 1) {
-    if (n < 0) return 1;
-    std::vector<float> xyz(3 * static_cast<std::size_t>(n));
-    std::vector<std::int32_t> clusters(n), labels(n, 0);
-    if (std::fread(xyz.data(), sizeof(float), xyz.size(), stdin) != xyz.size()) return 1;
-    if (std::fread(clusters.data(), sizeof(std::int32_t), clusters.size(), stdin) != clusters.size()) return 1;
-    const std::clock_t start = std::clock();
-    std::map<std::int32_t, std::vector<std::size_t>> members;
-    for (std::size_t k = 0; k < clusters.size(); ++k) members[clusters[k]].push_back(k);
-    std::int32_t next = 1;
-    for (const auto &[name, index] : members) {
-      pcl::PointCloud<Point>::Ptr cloud(new pcl::PointCloud<Point>);
-      cloud->reserve(index.size());
-      for (const std::size_t k : index) {
-        Point point;
-        point.x = xyz[3 * k], point.y = xyz[3 * k + 1], point.z = xyz[3 * k + 2], point.rgba = 0;
-        cloud->push_back(point);
-      }
-      split(cloud, settings, index, labels, next);
+// Label n points: `labels` gets 1 and up, 0 where a point has no supervoxel. Returns 0, or 1 after an error of PCL.
+//
+// xyz: (n, 3) points [m]; clusters: (n,) the cluster of each, 1 and up; settings: edge of a voxel [m], distance of seeds [m],
+// concavity that is tolerated [deg].
+extern "C" int lccp(std::int32_t n, const float *xyz, const std::int32_t *clusters, const float *settings,
+                    std::int32_t *labels) try {
+  std::vector<std::int32_t> found(n, 0);
+  std::map<std::int32_t, std::vector<std::size_t>> members;
+  for (std::int32_t k = 0; k < n; ++k) members[clusters[k]].push_back(k);
+  std::int32_t next = 1;
+  for (const auto &[name, index] : members) {
+    pcl::PointCloud<Point>::Ptr cloud(new pcl::PointCloud<Point>);
+    cloud->reserve(index.size());
+    for (const std::size_t k : index) {
+      Point point;
+      point.x = xyz[3 * k], point.y = xyz[3 * k + 1], point.z = xyz[3 * k + 2], point.rgba = 0;
+      cloud->push_back(point);
     }
-    const double ms = 1e3 * static_cast<double>(std::clock() - start) / CLOCKS_PER_SEC;
-    std::fwrite(labels.data(), sizeof(std::int32_t), labels.size(), stdout);
-    std::fwrite(&ms, sizeof ms, 1, stdout);
-    std::fflush(stdout);
+    split(cloud, {settings[0], settings[1], settings[2]}, index, found, next);
   }
+  std::copy(found.begin(), found.end(), labels);
   return 0;
+} catch (const std::exception &) {
+  return 1;
 }
