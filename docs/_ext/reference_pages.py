@@ -485,8 +485,9 @@ def tradeoff_table(name: str) -> str:
     from foretouch_lab.experiments.framework.tradeoff import find_area
 
     area = find_area(name)
-    *summaries, whole = area.tables(read_results(_TRADEOFFS / name / area.results))
-    others = {variant.name for variant in area.variants if variant.factor == "reference"}
+    results = read_results(_TRADEOFFS / name / area.results)
+    *summaries, whole = area.tables(results)
+    others = {row["variant"] for row in results if row["factor"] == "reference"}
     kept, notes = [], whole.notes[2:]  # of the chain, whose frontier is in the summary
     if name != "chain":
         notes = whole.notes

@@ -6,11 +6,16 @@ found   of all objects in the images, at IoU 0.6 or more
 held    of the first grasps on the objects that the hand can touch, where these are found
 touch   explained share of the variance of the readings, averaged over the modalities; 0 is the mean of the training readings
 
-Each image holds an object that the model `simulated` was trained on, among others (`shared.touched_scenes`, which says what
-holds). Half of the images are what the model knows: the objects are apart, and the camera has no fault but its steps of 1 mm.
-In the other half they touch, and the camera has all faults. The truth of touch is what the simulated hand reads in the grasp
-that was planned. *+ readings* adapts to the tare before each grasp and to all grasps in the images before, on other objects. The
-call that is timed makes a cloud of a depth image, finds all objects, plans one grasp on the nearest and predicts its touch.
+Each image holds an object among others, which the hand takes (`shared.touched_scenes`, which says what holds):
+
+    apart      one that the model `simulated` was trained on; the camera has no fault but its steps of 1 mm
+    touching   one of these; others touch it, and the camera has all faults
+    YCB        a household object that the model never saw, touched by others, and the camera has all faults; only with
+               --data, a folder of the YCB set, which is FORETOUCH_DATA/ycb by default
+
+The truth of touch is what the simulated hand reads in the grasp that was planned. *+ readings* adapts to the tare before each
+grasp and to all grasps in the images before, on other objects. The call that is timed makes a cloud of a depth image, finds all
+objects, plans one grasp on the nearest and predicts its touch.
 """
 
 import hashlib
@@ -23,6 +28,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 
+from foretouch.errors import ConfigError
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.registry import SIMULATED_HAND_MODEL, load_model
 from foretouch.models.touch_model import History, TouchModel
@@ -45,19 +51,22 @@ _SMALLER: Final = {2: 40, 4: 12}  # by the stride of the image: least points of 
 _PRESETS: Final = {frozenset(preset_settings(name).items()): name for name in preset_files()}
 _BETWEEN_NS: Final = 100_000_000_000  # from one grasp to the next
 _STEPS: Final = ("found", "held", "touch")
+_APART, _TOUCHING, _YCB = _PARTS = ("apart", "touching", "YCB")
+_MESH: Final = "collision_vhacd.obj"
+_YCB_KG: Final = 0.1  # of each object of the YCB set
 _COUNTS: Final = 4  # columns before the errors: objects, those found, first grasps, those that hold
 
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """Both halves of the images."""
+    """The images, by name of their part."""
 
-    parts: tuple[TouchedScenes, TouchedScenes]
+    parts: Mapping[str, TouchedScenes]
 
     @property
     def sha256(self) -> str:
-        """Hash of both."""
-        return hashlib.sha256("".join(part.sha256 for part in self.parts).encode()).hexdigest()
+        """Hash of all."""
+        return hashlib.sha256("".join(part.sha256 for part in self.parts.values()).encode()).hexdigest()
 
 
 Grasped = tuple[int, Object, Grasps, Touch, Touch]
@@ -159,18 +168,23 @@ def _sums(variants: Sequence[Variant], scenes: TouchedScenes) -> dict[str, Float
 
 
 def _accuracy(skill: str, settings: SceneSettings, data: Images) -> Mapping[str, Row]:
-    parts = [_sums(VARIANTS, scenes) for scenes in data.parts]
-    sums = {name: np.vstack([part[name] for part in parts]) for name in parts[0]}
-    rows = drawn_rows(skill, sums, lambda own: steps(own).prod(axis=0), settings.bootstrap)
+    by_part = {part: _sums(VARIANTS, scenes) for part, scenes in data.parts.items()}
+    sums = {one.name: np.vstack([own[one.name] for own in by_part.values()]) for one in VARIANTS}
+    rows = drawn_rows(skill, sums, _product, settings.bootstrap)
     for name, row in rows.items():
-        parts = steps(sums[name].sum(axis=0)).tolist()
-        row |= dict(zip(_STEPS, parts, strict=True))
+        row |= dict(zip(_STEPS, steps(sums[name].sum(axis=0)).tolist(), strict=True))
+        row |= {part: float(_product(own[name].sum(axis=0))) for part, own in by_part.items()}
     return rows
 
 
+def _product(sums: Float64) -> Float64:
+    """Return the product of the shares of sums (..., C) of images."""
+    return np.asarray(steps(sums).prod(axis=0), np.float64)
+
+
 def _timed(variant: Variant, _settings: SceneSettings, data: Images) -> Timed:
-    """Return what answers depth images, one after the other, of both halves in turn."""
-    stride, form, known = variant.values["stride"], variant.values["form"], data.parts[0]
+    """Return what answers depth images, one after the other, of all parts in turn."""
+    stride, form, known = variant.values["stride"], variant.values["form"], data.parts[_APART]
     pipeline, model = known.pipeline({"target.mode": "nearest", **variant.values["changes"]}), model_of(form)
     history = None
     if form.endswith(READINGS):
@@ -178,7 +192,7 @@ def _timed(variant: Variant, _settings: SceneSettings, data: Images) -> Timed:
         for k, target, grasps, tare, reading in _perceive(known.first(TIMED), stride, variant.values["changes"])[1]:
             history.tare(tare, stamp_ns=2 * k * _BETWEEN_NS)
             history.touched(target, grasps[0], reading, stamp_ns=(2 * k + 1) * _BETWEEN_NS, same_object=False)
-    turn = cycle([(part, k) for k in range(min(TIMED, len(known))) for part in data.parts])
+    turn = cycle([(part, k) for k in range(min(TIMED, len(known))) for part in data.parts.values()])
     now = 3 * TIMED * _BETWEEN_NS
 
     def answer(_: int) -> object:
@@ -209,10 +223,11 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     line = {row["variant"] for row in frontier(rows, _PANEL)}
     presets = tuple(f"{preset}:" for preset in _PRESETS.values())
     column = late_time(rows)
+    parts = [name for name in _PARTS if name in rows[0]]
     body = [
         [
             ("• " if row["variant"] in line else "") + row["variant"],
-            *(f"{row[name]:.2f}" for name in ("chain", *_STEPS)),
+            *(f"{row[name]:.2f}" for name in ("chain", *parts, *_STEPS)),
             *(f"{row[name]:.3g}" for name in ("ms_p50", "ms_p95", "cpu_ms", "cpu_ms_p95")),
             settings_text(named[row["variant"]]) if row["variant"] in named else "",
         ]
@@ -224,11 +239,13 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     text = f"The default with readings has a product of {default['chain']:.3f}. Of the settings that take no longer (p95), "
     notes = [
         "•: on the frontier of the product and the time. Other processes disturb the wall time of a loaded machine.",
+        f"{', '.join(parts)}: the product on each part of the images.",
         f"{text}{best['variant']} has the largest one, {best['chain']:.3f}.",
     ]
     columns = [
         "",
         "product",
+        *parts,
         *_STEPS,
         *(f"{kind} {part} [ms]" for kind in ("wall", "CPU") for part in ("p50", "p95")),
         "set",
@@ -236,9 +253,22 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     return [Table("The frontier and the presets, by time", columns, body, notes)]
 
 
-def _load(settings: SceneSettings, _path: Path) -> Images:
-    count = (settings.scenes + 1) // 2
-    return Images((TouchedScenes.render(count), TouchedScenes.render(count, HARD)))
+def _load(settings: SceneSettings, path: Path) -> Images:
+    """Render the images: equally many of each part."""
+    parts: dict[str, Mapping[str, Any]] = {_APART: {}, _TOUCHING: HARD}
+    if meshes := sorted(path.glob(f"*/{_MESH}")):
+        mesh = {"shape": "mesh", "size_m": [], "mass_kg": _YCB_KG}
+        objects = [{**mesh, "name": file.parent.name, "file": str(file)} for file in meshes]
+        parts[_YCB] = {**HARD, "families": [], "objects": objects}
+    count = -(-settings.scenes // len(parts))
+    return Images({part: TouchedScenes.render(count, changes) for part, changes in parts.items()})
+
+
+def _ycb_folder(_settings: SceneSettings, source: Path | None, out: Path) -> Path:
+    """Return the folder of the YCB set, or any folder if none is given: the other images are generated."""
+    if source is not None and not any(source.glob(f"*/{_MESH}")):
+        raise ConfigError(f"--data {source}: holds no <object>/{_MESH} of the YCB set; leave it out to go without")
+    return source or out
 
 
 _PANEL: Final = Panel(
@@ -255,10 +285,11 @@ EXPERIMENT = make_area(
         "small": {"scenes": 160, "timing_s": 180.0, "pause_s": PAUSE_S},
         "full": {"timing_s": 600.0, "pause_s": PAUSE_S},
     },
-    prepare=lambda _settings, _source, out: out,  # scenes are generated
+    prepare=_ycb_folder,
     load=_load,
     summarise=_summarise,
     variants=VARIANTS,
     timed=_timed,
     panels=(_PANEL,),
+    data_folder="ycb",
 )

@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Area `model`: skill of touch models on held-out grasps against the time of 1 to 1000 grasps on a cloud."""
+"""Area `model`: skill of touch models on held-out grasps against the time of 1 to 1000 grasps on a cloud.
+
+No network is trained here: those of the papers have the skill that the leaderboard of touch models gives them, on the same folds.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Final, cast
 
 import numpy as np
 
+from foretouch.config import setting
+from foretouch.errors import ConfigError
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.predictor import Estimate
 from foretouch.models.registry import load_model
@@ -18,20 +24,27 @@ from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Cloud, Float64, Grasp, Plane, Sample
 from foretouch_lab.experiments.framework.experiment import Row, Table
+from foretouch_lab.experiments.framework.manifest import read_results
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area, times_text
 from foretouch_lab.experiments.shared.scores import labelled, skill_rows
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.evaluation.baselines import object_mean
-from foretouch_lab.learning.evaluation.metrics import error_rows
+from foretouch_lab.learning.evaluation.metrics import MEAN, error_rows
 from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.contact import ContactPredictor
-from foretouch_lab.learning.training.run_config import load_run_config
+from foretouch_lab.learning.training.run_config import load_run_config, recipe_of
 from foretouch_lab.learning.training.tracker import fit_tracker
 
 SHIPPED: Final = "contact-v3"
-_PAPERS: Final = "papers' four networks"
+_OUTPUTS: Final = f"model.outputs=[{','.join(MODALITIES)}]"
+NETWORKS: Final = {
+    "P1's PointNet": f"p1 {_OUTPUTS} train.epochs=17",
+    "P2's PointNet, 256 points": f"p2 {_OUTPUTS} model.n_points=256 train.epochs=17",
+    "P2's SR-GAN, 256 points": f"p2_srgan {_OUTPUTS} model.n_points=256 srgan.epochs=5",
+}
+"""The papers' networks by their recipes on the leaderboard: one network for all modalities, trained for fewer epochs."""
 _MEAN, _OBJECT = "mean of labels", "mean of the object"
 READINGS: Final = " + readings"
 _SPLITS: Final = {"time": "blocks of time", "object": "objects left out"}
@@ -46,9 +59,19 @@ VARIANTS: Final = (
     Variant("no surroundings", "part", {"part": True}),
     Variant(SHIPPED, "shipped"),
     Variant(SHIPPED + READINGS, "readings"),
-    Variant(_PAPERS, "reference"),
+    *(Variant(name, "reference") for name in NETWORKS),
 )
 """In the order of the table of models."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSettings(TradeoffSettings):
+    """Settings of the area."""
+
+    leaderboard: str = setting(
+        "",
+        "Table of `foretouch benchmark touch` with the skill of the papers' networks; they are timed alone without it",
+    )
 
 
 @lru_cache(maxsize=1)
@@ -84,8 +107,9 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
     return replace(estimator, surroundings=False) if "part" in values else estimator
 
 
-def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str, Row]:
+def _accuracy(split: str, settings: ModelSettings, data: Dataset) -> dict[str, Row]:
     """Return errors on the folds of a split."""
+    networks = _of_leaderboard(split, settings.leaderboard, data)
     samples = labelled(data)
     folds = make_folds(samples, split, 0)
     errors: dict[str, list[Row]] = {}
@@ -94,7 +118,22 @@ def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str
         names, mean = [sample.object for sample in test], labels_of(train).mean(axis=0)
         for variant, predicted in _predictions(data, folds, fold):
             errors.setdefault(variant, []).extend(error_rows(names, predicted, labels_of(test), mean))
-    return skill_rows(split, errors, settings.bootstrap)
+    return skill_rows(split, errors, settings.bootstrap) | networks
+
+
+def _of_leaderboard(split: str, table: str, data: Dataset) -> dict[str, Row]:
+    """Return the mean skills of the networks that a leaderboard holds."""
+    if not table:
+        return {}
+    rows = read_results(Path(table))
+    if {row.get("data") for row in rows} != {data.sha256[:16]}:
+        raise ConfigError(f"leaderboard: {table} is not a table of `foretouch benchmark touch` on {data.name}")
+    found = {row["predictor"]: row for row in rows if row["split"] == split and row["modality"] == MEAN}
+    return {
+        name: {split + end: found[recipe][f"skill{end}"] for end in ("", "_low", "_high")}
+        for name, recipe in NETWORKS.items()
+        if recipe in found
+    }
 
 
 def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[tuple[str, Float64]]:
@@ -134,13 +173,13 @@ def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[t
         yield name + READINGS, counts[fold.test]
 
 
-def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed:
+def _timed(variant: Variant, settings: ModelSettings, data: Dataset) -> Timed:
     """Return what predicts the touch of K grasps on a cloud of median size, (K, 50) counts."""
     sample, grasps = _scene(data, max(settings.requests))
     shipped = load_model(SHIPPED)
     name, _, readings = variant.name.partition(READINGS[:2])
-    if variant.name == _PAPERS:
-        return _papers(sample.cloud, grasps), 1.0
+    if variant.name in NETWORKS:
+        return _network(NETWORKS[variant.name], sample.cloud, grasps), 1.0
     if variant.name in (_MEAN, _OBJECT):
         own = [other for other in labelled(data) if variant.name == _MEAN or other.object == sample.object]
         mean = labels_of(own).mean(axis=0)
@@ -153,23 +192,22 @@ def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed
     return lambda count: estimator.estimate(sample.cloud, grasps[:count], sample.table).counts, 1.0
 
 
-def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
-    """Return four eager networks of P2 on 750 points, one for each modality, of random weights: for their time alone."""
+def _network(recipe: str, cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
+    """Return the network of a recipe with random weights, for its time alone."""
     import torch
 
-    from foretouch.models.network.config import ModelConfig
     from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
     from foretouch_lab.learning.network.networks import TouchNet
 
-    configs = [ModelConfig(outputs=(name,)) for name in MODALITIES]
-    nets = [TouchNet(config).eval() for config in configs]
+    config = recipe_of(recipe).model
+    net = TouchNet(config).eval()
 
     def answer(count: int) -> Float64:
         with torch.inference_mode():
-            prepared = prepare_cloud(cloud, configs[0])
+            prepared = prepare_cloud(cloud, config)
             points = torch.from_numpy(prepared.points)[None].expand(count, -1, -1)
-            inputs = torch.from_numpy(prepare_grasps(grasps[:count], prepared.frame, configs[0]))
-            return torch.cat([net.counts(points, inputs) for net in nets], dim=1).numpy()
+            inputs = torch.from_numpy(prepare_grasps(grasps[:count], prepared.frame, config))
+            return net.counts(points, inputs).numpy()
 
     return answer
 
@@ -226,6 +264,7 @@ EXPERIMENT = make_area(
     name="tradeoff_model",
     question="How good a prediction of touch can I have in 10 ms?",
     module=__name__,
+    settings=ModelSettings,
     presets={
         "smoke": {"skills": ["object"], "timing_s": 2.0, "requests": (1, 100)},
         "small": {"timing_s": 45.0, "pause_s": PAUSE_S, "requests": _REQUESTS},

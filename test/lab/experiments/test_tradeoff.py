@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from contact_model_builders import FEW_TREES
 from every_case import every_case
 from experiment_samples import make_collection, make_samples
@@ -27,15 +28,16 @@ from foretouch_lab.experiments import (
     tradeoff_training,
 )
 from foretouch_lab.experiments.framework.experiment import Row
-from foretouch_lab.experiments.framework.manifest import read_results
-from foretouch_lab.experiments.framework.tradeoff import Area, Panel, TradeoffSettings, find_area, frontier, list_areas
+from foretouch_lab.experiments.framework.manifest import read_results, write_results
+from foretouch_lab.experiments.framework.tradeoff import Area, Panel, find_area, frontier, list_areas
 from foretouch_lab.experiments.shared.scores import skill_rows
 from foretouch_lab.experiments.shared.touched_scenes import HARD, SceneSettings, TouchedScenes, overlap
 from foretouch_lab.experiments.tradeoff_grasp import FoundObjects
-from foretouch_lab.experiments.tradeoff_model import fewer_trees
+from foretouch_lab.experiments.tradeoff_model import NETWORKS, ModelSettings, fewer_trees
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 from foretouch_lab.learning.training.contact import describe_samples, fit_contact
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT
 
 ROOT = Path(__file__).parents[3]
 GRASPS = make_collection()
@@ -218,10 +220,10 @@ def test_the_frontier_holds_what_nothing_beats_and_of_equals_of_the_best_the_fas
 @pytest.mark.slow
 def test_models_are_measured_on_each_split_and_timed() -> None:
     area = tradeoff_model.EXPERIMENT
-    settings = TradeoffSettings(requests=(1, 2), bootstrap=QUICK)
+    settings = ModelSettings(requests=(1, 2), bootstrap=QUICK)
     rows = area.run(area.cells(settings, GRASPS)[1], settings, GRASPS)
     found = {row["variant"]: row for row in rows}
-    assert found.keys() == {variant.name for variant in area.variants} - {"mean of the object", "papers' four networks"}
+    assert found.keys() == {variant.name for variant in area.variants} - {"mean of the object"} - {*NETWORKS}
     assert found["mean of labels + readings"]["object"] > 0.1
     assert found["mean of labels"]["object"] == 0.0
     assert found["contact-v3"]["object_rmse_PDC_TH"] > 0.0
@@ -230,6 +232,29 @@ def test_models_are_measured_on_each_split_and_timed() -> None:
     for name, answer in made.items():
         assert answer(2).shape == (2, 50), name
     assert not np.array_equal(made["contact-v3 + readings"](1), made["contact-v3"](1))
+
+
+def test_networks_have_the_skill_of_the_leaderboard_and_one_of_other_data_is_refused(tmp_path) -> None:
+    recipe, table = NETWORKS["P1's PointNet"], tmp_path / "results.csv"
+    row = {
+        "predictor": recipe,
+        "split": "object",
+        "modality": "mean",
+        "skill": -0.5,
+        "skill_low": -0.9,
+        "skill_high": -0.1,
+    }
+    rows = [row | {"data": GRASPS.sha256[:16]}, row | {"data": GRASPS.sha256[:16], "modality": "PDC_MF", "skill": 0.3}]
+    write_results(tmp_path, rows)
+    found = tradeoff_model._of_leaderboard("object", str(table), GRASPS)
+    assert found == {"P1's PointNet": {"object": -0.5, "object_low": -0.9, "object_high": -0.1}}
+    assert tradeoff_model._of_leaderboard("time", str(table), GRASPS) == {}
+    assert tradeoff_model._of_leaderboard("time", "", GRASPS) == {}
+    write_results(tmp_path, [row | {"data": "other"}])
+    with pytest.raises(
+        ConfigError, match=r"leaderboard: .*results.csv is not a table of `foretouch benchmark touch` on"
+    ):
+        tradeoff_model._of_leaderboard("object", str(table), GRASPS)
 
 
 def test_the_objects_of_a_scene_are_found_and_measured_with_their_masks(monkeypatch, scenes_of_each_kind) -> None:
@@ -305,7 +330,7 @@ def test_the_chain_multiplies_what_is_found_held_and_explained(monkeypatch, scen
     assert tradeoff_chain.steps(sums).tolist() == pytest.approx([0.75, 0.5, 0.25])
     assert tradeoff_chain.steps(np.zeros(104)).tolist() == [0.0, 0.0, 0.0]
     area, settings = tradeoff_chain.EXPERIMENT, SceneSettings(bootstrap=QUICK)
-    data = tradeoff_chain.Images(scenes_of_each_kind)
+    data = tradeoff_chain.Images(dict(zip(("apart", "touching"), scenes_of_each_kind, strict=True)))
     shown = ("default", "320x240, grid 120, 500 points, contact + readings")
     fewer = tuple(one for one in area.variants if one.name.startswith(shown))
     assert len(fewer) == 6
@@ -313,6 +338,8 @@ def test_the_chain_multiplies_what_is_found_held_and_explained(monkeypatch, scen
     rows = tradeoff_chain._accuracy("chain", settings, data)
     for row in rows.values():
         assert row["chain"] == pytest.approx(row["found"] * row["held"] * row["touch"])
+        assert max(row["apart"], row["touching"]) <= 1.0
+    assert rows["default: 640x480, grid 120, 8000 points, contact"]["apart"] > 0.0
     assert rows["default: 640x480, grid 120, 8000 points, mean"]["touch"] == 0.0
     smaller = next(one for one in fewer if one.name.startswith("320"))
     text = (
@@ -322,10 +349,23 @@ def test_the_chain_multiplies_what_is_found_held_and_explained(monkeypatch, scen
     assert "preset=default" in map(tradeoff_chain.settings_text, fewer)
     for one in fewer:
         assert len(area.timed(one, settings, data)[0](1)) == 1  # a prediction
-    for one in area.variants:  # can be copied
+    for one in area.variants:  # they can be copied
         PipelineConfig().updated(one.values["changes"])
     default = next(one for one in area.variants if one.factor == "shipped")
     assert PipelineConfig().updated(default.values["changes"]) == PipelineConfig()
+
+
+def test_the_chain_shows_meshes_of_a_folder_and_names_one_without_any(tmp_path) -> None:
+    area, settings = tradeoff_chain.EXPERIMENT, SceneSettings(scenes=2)
+    assert area.prepare(settings, None, tmp_path) == tmp_path
+    with pytest.raises(ConfigError, match=r"--data .*: holds no <object>/collision_vhacd.obj of the YCB set"):
+        area.prepare(settings, tmp_path, tmp_path / "out")
+    (tmp_path / "Block").mkdir()
+    trimesh.creation.box((0.06, 0.07, 0.09)).export(tmp_path / "Block" / "collision_vhacd.obj")
+    data = area.load(settings, area.prepare(settings, tmp_path, tmp_path / "out"))
+    assert {part: len(scenes) for part, scenes in data.parts.items()} == {"apart": 1, "touching": 1, "YCB": 1}
+    assert [one.name for one in data.parts["YCB"].scene.objects] == ["Block"]
+    assert (data.parts["YCB"].labels == FIRST_OBJECT).sum() > 300
 
 
 def test_springs_are_nearly_right_on_rigid_objects_and_effects_can_be_left_out(tmp_path: Path, monkeypatch) -> None:
