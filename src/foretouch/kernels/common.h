@@ -25,6 +25,7 @@ typedef float float4u __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float float8u __attribute__((vector_size(32), aligned(4), may_alias));
 typedef int32_t int8x32u __attribute__((vector_size(32), aligned(4), may_alias));
 typedef double double4u __attribute__((vector_size(32), aligned(8), may_alias));
+typedef int64_t int64x4u __attribute__((vector_size(32), aligned(8), may_alias));
 #define INLINE static inline __attribute__((always_inline))
 
 INLINE float8 larger8(float8 a, float8 b) {

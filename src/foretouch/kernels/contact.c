@@ -6,7 +6,8 @@
 #define SUMS 10     /* 1, x, y, z, xx, xy, xz, yy, yz, zz */
 #define FEATURES 14 /* share, roughness, mean of the pad (3), slopes of the patches (3 x 3) */
 #define NEAR 1024   /* points summed at once */
-#define LANES 8
+#define LANES 8     /* sums of every eighth point, which are added at the end */
+#define KNOWN 32   /* known rows that a row is compared with at once */
 #define OUTPUTS 56 /* values summed at once: as many as a touch has, in whole vectors */
 #define FEWEST 4       /* points that determine a slope */
 #define NOTHING 1e-12  /* a smaller share of the points, or a smaller spread [m], is none */
@@ -59,13 +60,12 @@ void sort_into_cells(
     starts[0] = 0;
 }
 
-typedef double Lanes __attribute__((vector_size(8 * LANES)));
-typedef int64_t Mask __attribute__((vector_size(8 * LANES)));
+#define LOAD(type, from) (*(const type *)(from))
 
 /* Sums around one contact, and points within the last radius that wait to be added. */
 typedef struct {
-    Lanes sums[RADII][SUMS];
-    Mask counts[RADII]; /* minus the number of points */
+    double sums[RADII][SUMS][LANES];
+    int64_t counts[RADII][LANES]; /* minus the number of points */
     double square[NEAR + LANES];
     int32_t index[NEAR + LANES]; /* in sorted */
     int64_t size;
@@ -81,10 +81,10 @@ static double beside(double x, double low, double per_m, int64_t cell) {
 static double moments(const Patch *patch, int r, double n, double mean[3], double covariance[6], double *count) {
     double scaled[SUMS], total;
     for (int k = 0; k < SUMS; k++) {
-        const double *lane = (const double *)&patch->sums[r][k];
+        const double *lane = patch->sums[r][k];
         scaled[k] = (((lane[0] + lane[1]) + (lane[2] + lane[3])) + ((lane[4] + lane[5]) + (lane[6] + lane[7]))) / n;
     }
-    const int64_t *lane = (const int64_t *)&patch->counts[r];
+    const int64_t *lane = patch->counts[r];
     *count = -(double)(lane[0] + lane[1] + lane[2] + lane[3] + lane[4] + lane[5] + lane[6] + lane[7]);
     total = scaled[0];
     const double divisor = total > NOTHING ? total : NOTHING;

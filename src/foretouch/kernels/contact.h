@@ -10,44 +10,46 @@ static void NAME(add_near)(
         patch->index[k] = 0;
         patch->square[k] = INFINITY;
     }
-    Lanes columns[4][NEAR / LANES];
+    double columns[4][NEAR + LANES];
     const int64_t groups = (patch->size + LANES - 1) / LANES;
-    for (int64_t g = 0; g < groups; g++) {
-        for (int l = 0; l < LANES; l++) {
-            const int64_t i = patch->index[LANES * g + l];
-            for (int k = 0; k < 3; k++) {
-                columns[k][g][l] = sorted[k * n + i];
-            }
-            columns[3][g][l] = patch->square[LANES * g + l];
+    for (int64_t i = 0; i < LANES * groups; i++) {
+        for (int k = 0; k < 3; k++) {
+            columns[k][i] = sorted[k * n + patch->index[i]];
         }
+        columns[3][i] = patch->square[i];
     }
     for (int r = 0; r < RADII; r++) {
-        Lanes s0 = patch->sums[r][0], s1 = patch->sums[r][1], s2 = patch->sums[r][2], s3 = patch->sums[r][3];
-        Lanes s4 = patch->sums[r][4], s5 = patch->sums[r][5], s6 = patch->sums[r][6], s7 = patch->sums[r][7];
-        Lanes s8 = patch->sums[r][8], s9 = patch->sums[r][9];
-        Mask counts = patch->counts[r];
         const double per_square = 1.0 / squares[r];
-        for (int64_t g = 0; g < groups; g++) {
-            const Lanes x = columns[0][g], y = columns[1][g], z = columns[2][g];
-            const Lanes left = 1.0 - columns[3][g] * per_square;
-            const Mask inside = left > 0.0;
-            const Lanes w = (Lanes)((Mask)left & inside);
-            const Lanes wx = w * x, wy = w * y, wz = w * z;
-            s0 += w;
-            s1 += wx;
-            s2 += wy;
-            s3 += wz;
-            s4 += wx * x;
-            s5 += wx * y;
-            s6 += wx * z;
-            s7 += wy * y;
-            s8 += wy * z;
-            s9 += wz * z;
-            counts += inside;
+        for (int half = 0; half < LANES; half += 4) { /* of the lanes, which are two vectors of AVX2 */
+            double4 sums[SUMS];
+            int64x4 counts = LOAD(int64x4u, patch->counts[r] + half);
+            for (int k = 0; k < SUMS; k++) {
+                sums[k] = LOAD(double4u, patch->sums[r][k] + half);
+            }
+            for (int64_t i = half; i < LANES * groups; i += LANES) {
+                const double4 x = LOAD(double4u, columns[0] + i), y = LOAD(double4u, columns[1] + i);
+                const double4 z = LOAD(double4u, columns[2] + i);
+                const double4 left = 1.0 - LOAD(double4u, columns[3] + i) * per_square;
+                const int64x4 inside = left > 0.0;
+                const double4 w = (double4)((int64x4)left & inside);
+                const double4 wx = w * x, wy = w * y, wz = w * z;
+                sums[0] += w;
+                sums[1] += wx;
+                sums[2] += wy;
+                sums[3] += wz;
+                sums[4] += wx * x;
+                sums[5] += wx * y;
+                sums[6] += wx * z;
+                sums[7] += wy * y;
+                sums[8] += wy * z;
+                sums[9] += wz * z;
+                counts += inside;
+            }
+            memcpy(patch->counts[r] + half, &counts, sizeof counts);
+            for (int k = 0; k < SUMS; k++) {
+                memcpy(patch->sums[r][k] + half, &sums[k], sizeof sums[k]);
+            }
         }
-        const Lanes sums[SUMS] = {s0, s1, s2, s3, s4, s5, s6, s7, s8, s9};
-        memcpy(patch->sums[r], sums, sizeof sums);
-        patch->counts[r] = counts;
     }
     patch->size = 0;
 }
@@ -144,20 +146,19 @@ static void NAME(describe)(
 static void NAME(city)(
     const double *rows, int64_t count, int64_t columns, const double *packed, int64_t size, double *distances
 ) {
-    const Mask magnitude = ~(Mask)(-(Lanes){0.0});
-    for (int64_t start = 0; start < size; start += 4 * LANES) {
+    const int64x4 magnitude = ~(int64x4)(-(double4){0.0});
+    for (int64_t start = 0; start < size; start += KNOWN) {
         const double *group = packed + start * columns; /* stays in the cache for all rows */
-        const int64_t left = size - start < 4 * LANES ? size - start : 4 * LANES;
+        const int64_t left = size - start < KNOWN ? size - start : KNOWN;
         for (int64_t i = 0; i < count; i++) {
             const double *row = rows + i * columns;
-            Lanes sum[4] = {{0.0}, {0.0}, {0.0}, {0.0}};
+            double4 sum[KNOWN / 4] = {{0.0}};
             for (int64_t j = 0; j < columns; j++) {
-                Lanes known[4];
-                memcpy(known, group + 4 * LANES * j, sizeof known);
-                sum[0] += (Lanes)((Mask)(row[j] - known[0]) & magnitude);
-                sum[1] += (Lanes)((Mask)(row[j] - known[1]) & magnitude);
-                sum[2] += (Lanes)((Mask)(row[j] - known[2]) & magnitude);
-                sum[3] += (Lanes)((Mask)(row[j] - known[3]) & magnitude);
+                const double *known = group + KNOWN * j;
+#pragma GCC unroll 8
+                for (int k = 0; k < KNOWN / 4; k++) {
+                    sum[k] += (double4)((int64x4)(row[j] - LOAD(double4u, known + 4 * k)) & magnitude);
+                }
             }
             memcpy(distances + i * size + start, sum, left * sizeof *distances);
         }
@@ -171,19 +172,13 @@ static void NAME(weigh)(
     for (int64_t i = 0; i < count; i++) {
         const double *weight = weights + i * size, *value = packed;
         for (int64_t start = 0; start < outputs; start += OUTPUTS) {
-            Lanes s0 = {0.0}, s1 = {0.0}, s2 = {0.0}, s3 = {0.0}, s4 = {0.0}, s5 = {0.0}, s6 = {0.0};
+            double4 sum[OUTPUTS / 4] = {{0.0}};
             for (int64_t k = 0; k < size; k++, value += OUTPUTS) {
-                Lanes one[OUTPUTS / LANES];
-                memcpy(one, value, sizeof one);
-                s0 += weight[k] * one[0];
-                s1 += weight[k] * one[1];
-                s2 += weight[k] * one[2];
-                s3 += weight[k] * one[3];
-                s4 += weight[k] * one[4];
-                s5 += weight[k] * one[5];
-                s6 += weight[k] * one[6];
+#pragma GCC unroll 14
+                for (int l = 0; l < OUTPUTS / 4; l++) {
+                    sum[l] += weight[k] * LOAD(double4u, value + 4 * l);
+                }
             }
-            const Lanes sum[OUTPUTS / LANES] = {s0, s1, s2, s3, s4, s5, s6};
             const int64_t left = outputs - start < OUTPUTS ? outputs - start : OUTPUTS;
             memcpy(sums + i * outputs + start, sum, left * sizeof *sums);
         }
