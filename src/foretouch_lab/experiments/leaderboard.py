@@ -290,7 +290,7 @@ def _draw(rows: Rows, folder: Path) -> list[Path]:
         draw_intervals(axes, own, "predictor", names, -0.5, _colour)
         axes.set_title(_PANELS[split], fontsize=TEXT_PT)
         axes.tick_params(labelsize=SMALL_PT)
-    panels[0].set_yticks(range(len(names)), [_PLAIN.get(name, name) for name in names])
+    panels[0].set_yticks(range(len(names)), [_label(name, names) for name in names])
     for name, text in zip(names, panels[0].get_yticklabels(), strict=True):
         text.set(color=_colour({"predictor": name}), fontweight="normal" if name in _BASELINES else "bold")
     better = {
@@ -302,6 +302,15 @@ def _draw(rows: Rows, folder: Path) -> list[Path]:
     )
     figure.supxlabel("mean skill (1: perfect, 0: the mean of the training); bars: 95 % intervals", fontsize=TEXT_PT)
     return [save_small(figure, folder / "leaderboard.png")]
+
+
+def _label(name: str, names: Sequence[str]) -> str:
+    """Return a short name of a predictor: without the settings of a recipe, which are numbered if there are several."""
+    recipe, _, settings = name.partition(" ")
+    if not settings:
+        return _PLAIN.get(name, name)
+    alike = [other for other in names if other.startswith(f"{recipe} ")]
+    return f"{recipe} with settings" + (f" {1 + alike.index(name)}" if len(alike) > 1 else "")
 
 
 def _colour(row: Mapping[str, Any]) -> str:
