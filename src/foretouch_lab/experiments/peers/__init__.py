@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.errors import ConfigError, ForetouchError
+from foretouch.errors import ConfigError, ForetouchError, shown
 from foretouch.grasp import hand_rotation
 from foretouch.types import AnyArray, Cloud, Grasp, Int32, Plane
 
@@ -75,18 +75,21 @@ def _call(function: Any, *arguments: int | AnyArray) -> None:
 
 @lru_cache
 def _library(name: str, headers: Sequence[Path], pcl: Sequence[str], others: Sequence[str]) -> ctypes.CDLL:
-    """Return the compiled library of `<name>.cpp`; made once for each content of the file."""
+    """Return the compiled library of `<name>.cpp`; made once for each content of the file and each command."""
     source = Path(__file__).with_name(f"{name}.cpp")
+    includes = [f"-I{path}" for path in (*headers, _SYSTEM / _newest("pcl"), _SYSTEM / "eigen3")]
+    libraries = [*(f"-lpcl_{part}" for part in pcl), *others]
+    command = ["g++", "-O3", "-std=c++17", "-shared", "-fPIC", "-w", *includes, str(source), *libraries]
+    digest = hashlib.sha256(source.read_bytes() + " ".join(command).encode()).hexdigest()
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "foretouch" / "peers"
-    built = folder / f"{name}-{hashlib.sha256(source.read_bytes()).hexdigest()[:16]}.so"
+    built = folder / f"{name}-{digest[:16]}.so"
     if not built.is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        includes = [f"-I{path}" for path in (*headers, _SYSTEM / _newest("pcl"), _SYSTEM / "eigen3")]
-        libraries = [*(f"-lpcl_{part}" for part in pcl), *others]
-        options = ["-O3", "-std=c++17", "-shared", "-fPIC", "-w"]
         fresh = built.with_suffix(f".{os.getpid()}")
-        command = ["g++", *options, *includes, str(source), "-o", str(fresh), *libraries]
-        subprocess.run(command, check=True)  # noqa: S603  paths of this package, of the system and of the user
+        done = subprocess.run([*command, "-o", str(fresh)], check=False, capture_output=True, text=True)  # noqa: S603  own paths
+        if done.returncode:
+            reason = next((line for line in done.stderr.splitlines() if "error" in line), "no reason given")
+            raise ForetouchError(f"{source.name}: cannot be compiled with {_newest('pcl')}: {shown(reason)}")
         fresh.replace(built)
     return ctypes.CDLL(str(built))
 
