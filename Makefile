@@ -102,7 +102,7 @@ reference: setup
 # The papers' networks have their skill from the leaderboard; PCL's LCCP and the published GeoGrasp are rows where they can be compiled.
 NEW_TIMES := $(if $(TIMES),build/tried-times,build/reference-times)
 reference-times: setup
-	test -f $(NEW_TIMES)/model/tradeoff.csv || $(BIN)/foretouch tradeoff model -o $(NEW_TIMES)/model $(TIMES) leaderboard=docs/results/leaderboard/results.csv
+	test -f $(NEW_TIMES)/model/tradeoff.csv || $(BIN)/foretouch tradeoff model -o $(NEW_TIMES)/model $(if $(wildcard $(NEW_TIMES)/model),--resume) $(TIMES) leaderboard=docs/results/leaderboard/results.csv
 	$(BIN)/foretouch tradeoff all -o $(NEW_TIMES) --resume $(TIMES)
 	$(if $(TIMES),,$(BIN)/python docs/reference_times.py build/reference-times)
 

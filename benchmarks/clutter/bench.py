@@ -21,7 +21,7 @@ from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, 
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, read_csv, replace_marked, write_csv
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import Int32
-from foretouch_lab.experiments.peers import find_lccp
+from foretouch_lab.experiments.peers import has_lccp, lccp
 
 HERE: Final = Path(__file__).parent
 OURS, CLUSTERS, LCCP, PERFECT = "foretouch", "clusters alone", "LCCP of PCL", "perfect splitting of the clusters"
@@ -47,7 +47,7 @@ def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
         found[CLUSTERS].append((score(clusters, true), alone_ms, nan))
         found[PERFECT].append((score(np.where(clusters > 0, true, 0), true), nan, nan))
         every.append(clusters)
-    if (lccp := find_lccp()) is None:
+    if not has_lccp():
         print(f"{LCCP} is not measured (apt-get install libpcl-dev g++); the written rows keep the day they were taken")
     else:
         found[LCCP] = []

@@ -14,7 +14,7 @@ from benchmarks.geograsp.parity import GRASP_TOLERANCE_M, ReferenceRow, read_ref
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.types import Cloud, Float64, Grasp
-from foretouch_lab.experiments.peers import find_geograsp
+from foretouch_lab.experiments.peers import check_geograsp, geograsp, has_geograsp
 
 STEP = 8  # each eighth cloud
 
@@ -44,11 +44,12 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("FORETOUCH_DATA", "data")))
     parser.add_argument("--turns", type=int, default=5)
     options = parser.parse_args()
-    if (published := find_geograsp()) is None:
+    check_geograsp()
+    if not has_geograsp():
         raise SystemExit("needs g++, libpcl-dev and, in FORETOUCH_GEOGRASP, a checkout of the published GeoGrasp")
     rows = [row for row in read_reference(options.data) if row.config.tip_mm == 25.0][:: 3 * STEP]  # of one table
     planners = {
-        "C++ GeoGrasp": lambda cloud, row: published(cloud, row.plane, row.config.tip_mm),
+        "C++ GeoGrasp": lambda cloud, row: geograsp(cloud, row.plane, row.config.tip_mm),
         "foretouch, grasp.method=original": lambda cloud, row: first_grasp(cloud, row, row.config),
         "foretouch, default": lambda cloud, row: first_grasp(cloud, row, GeoGraspConfig()),
     }

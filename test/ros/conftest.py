@@ -80,6 +80,7 @@ class Graph:
                 break
             gc.collect()
             time.sleep(0.05)
+        _destroyed.clear()  # what is kept for good
         self.domain = open_domain(new=alone)
         self.probe = Node("probe", namespace="/foretouch")
         self.probe.get_logger().set_level(LoggingSeverity.FATAL)

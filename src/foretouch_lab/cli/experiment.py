@@ -81,10 +81,11 @@ def print_list(title: str, experiments: Mapping[str, Experiment], *, as_json: bo
 
 
 def data_source(experiment: Experiment, arguments: argparse.Namespace) -> Path | None:
-    """Return --data, or the experiment's folder in `FORETOUCH_DATA`; None without either."""
+    """Return --data, or the experiment's folder in `FORETOUCH_DATA`; None without either, or if it goes without a folder that is absent."""
     folder = os.environ.get(ENVIRONMENT)
     if arguments.data is None and folder and experiment.data_folder is not None:
-        return Path(folder) / experiment.data_folder
+        default = Path(folder) / experiment.data_folder
+        return None if experiment.goes_without and not default.exists() else default
     given: Path | None = arguments.data
     return given
 

@@ -292,4 +292,5 @@ EXPERIMENT = make_area(
     timed=_timed,
     panels=(_PANEL,),
     data_folder="ycb",
+    goes_without=True,
 )

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import cycle
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from foretouch.types import Grasp
 from foretouch.types.scene import Object
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, Variant, make_area
-from foretouch_lab.experiments.peers import find_geograsp
+from foretouch_lab.experiments.peers import check_geograsp, geograsp, has_geograsp
 from foretouch_lab.experiments.shared.touched_scenes import HARD, TIMED, SceneSettings, TouchedScenes, drawn_rows, share
 
 _CPP: Final = "C++ GeoGrasp, all points"
@@ -32,7 +33,7 @@ def _variants() -> Iterator[Variant]:
     for count in (500, 2000, 8000):
         yield Variant(f"original, {count} points", "reference", {**original, "grasp.max_points": count})
     yield Variant("original, slab 4 mm", "reference", {**original, "grasp.slab_half_width_m": 0.004})
-    if find_geograsp() is not None:
+    if has_geograsp():
         yield Variant(_CPP, "reference", original)
 
 
@@ -53,10 +54,16 @@ class FoundObjects(TouchedScenes):
 
 def _planner(variant: Variant, data: FoundObjects) -> Callable[[Object], Sequence[Grasp]]:
     """Return what plans grasps on an object, best first."""
-    pipeline, published = data.pipeline(variant.values), find_geograsp()
-    if variant.name == _CPP and published is not None:
-        return lambda target: [published(target.cloud, target.plane, pipeline.config.grasp.tip_mm)]
-    return lambda target: pipeline.plan(target).grasps
+    pipeline = data.pipeline(variant.values)
+    if variant.name != _CPP:
+        return lambda target: pipeline.plan(target).grasps
+    tip_mm = pipeline.config.grasp.tip_mm
+
+    def plan(target: Object) -> list[Grasp]:
+        grasp = geograsp(target.cloud, target.plane, tip_mm)
+        return [] if grasp is None else [grasp]
+
+    return plan
 
 
 def _accuracy(skill: str, settings: SceneSettings, data: FoundObjects) -> Mapping[str, Row]:
@@ -79,6 +86,12 @@ def _timed(variant: Variant, _settings: SceneSettings, data: FoundObjects) -> Ti
     return lambda _: next(turn)(), 1.0
 
 
+def _prepare(_settings: SceneSettings, _source: Path | None, out: Path) -> Path:
+    """Return any folder, since scenes are generated."""
+    check_geograsp()
+    return out
+
+
 EXPERIMENT = make_area(
     _accuracy,
     name="tradeoff_grasp",
@@ -90,7 +103,7 @@ EXPERIMENT = make_area(
         "small": {"scenes": 100, "timing_s": 30.0},
         "full": {"timing_s": 120.0},
     },
-    prepare=lambda _settings, _source, out: out,  # scenes are generated
+    prepare=_prepare,
     load=lambda settings, _path: FoundObjects.render(settings.scenes, HARD),
     variants=VARIANTS,
     timed=_timed,

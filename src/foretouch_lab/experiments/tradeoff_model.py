@@ -23,7 +23,7 @@ from foretouch.models.touch_model import History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Cloud, Float64, Grasp, Plane, Sample
-from foretouch_lab.experiments.framework.experiment import Row, Table
+from foretouch_lab.experiments.framework.experiment import Row, Table, require_data
 from foretouch_lab.experiments.framework.manifest import read_results
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area, times_text
 from foretouch_lab.experiments.shared.scores import labelled, skill_rows
@@ -46,6 +46,7 @@ NETWORKS: Final = {
 }
 """The papers' networks by their recipes on the leaderboard: one network for all modalities, trained for fewer epochs."""
 _MEAN, _OBJECT = "mean of labels", "mean of the object"
+_COLUMNS: Final = ("data", "predictor", "split", "modality", "skill", "skill_low", "skill_high")  # of a leaderboard
 READINGS: Final = " + readings"
 _SPLITS: Final = {"time": "blocks of time", "object": "objects left out"}
 PAUSE_S: Final = 0.02  # asleep before each call, as between the clouds of a camera
@@ -123,17 +124,29 @@ def _accuracy(split: str, settings: ModelSettings, data: Dataset) -> dict[str, R
 
 def _of_leaderboard(split: str, table: str, data: Dataset) -> dict[str, Row]:
     """Return the mean skills of the networks that a leaderboard holds."""
-    if not table:
-        return {}
-    rows = read_results(Path(table))
-    if {row.get("data") for row in rows} != {data.sha256[:16]}:
-        raise ConfigError(f"leaderboard: {table} is not a table of `foretouch benchmark touch` on {data.name}")
+    rows = _read_leaderboard(table)
+    if any(row["data"] != data.sha256[:16] for row in rows):
+        raise ConfigError(f"leaderboard: {table} is of other data than {data.name}")
     found = {row["predictor"]: row for row in rows if row["split"] == split and row["modality"] == MEAN}
     return {
         name: {split + end: found[recipe][f"skill{end}"] for end in ("", "_low", "_high")}
         for name, recipe in NETWORKS.items()
         if recipe in found
     }
+
+
+def _read_leaderboard(table: str) -> list[Row]:
+    """Return the rows of a leaderboard; none if no table is given. A `ConfigError` if it is another table."""
+    rows = read_results(Path(table)) if table else []
+    if table and not (rows and all(name in rows[0] for name in _COLUMNS)):
+        raise ConfigError(f"leaderboard: {table} is not a results.csv of `foretouch benchmark touch`")
+    return rows
+
+
+def _prepare(settings: ModelSettings, source: Path | None, out: Path) -> Path:
+    """Return the data, after a look at the leaderboard: hours before it would be missed."""
+    _read_leaderboard(settings.leaderboard)
+    return require_data(settings, source, out)
 
 
 def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[tuple[str, Float64]]:
@@ -265,6 +278,7 @@ EXPERIMENT = make_area(
     question="How good a prediction of touch can I have in 10 ms?",
     module=__name__,
     settings=ModelSettings,
+    prepare=_prepare,
     presets={
         "smoke": {"skills": ["object"], "timing_s": 2.0, "requests": (1, 100)},
         "small": {"timing_s": 45.0, "pause_s": PAUSE_S, "requests": _REQUESTS},

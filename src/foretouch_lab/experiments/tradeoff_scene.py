@@ -19,7 +19,7 @@ from foretouch.camera.device import ensure_libusb
 from foretouch.types import Cloud, Int32
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, Variant, make_area
-from foretouch_lab.experiments.peers import find_lccp
+from foretouch_lab.experiments.peers import has_lccp, lccp
 from foretouch_lab.experiments.shared.touched_scenes import (
     FOUND,
     HARD,
@@ -51,7 +51,7 @@ def _variants() -> Iterator[Variant]:
         yield Variant(name, factor, {f"segmentation.{key}": value for key, value in changes.items()})
     if find_spec("open3d"):
         yield Variant(_OPEN3D, "reference")
-    if find_lccp() is not None:
+    if has_lccp():
         yield Variant(_LCCP, "reference", _CLUSTERS)
 
 
@@ -89,8 +89,8 @@ def _labels(variant: Variant, data: TouchedScenes) -> Callable[[Cloud], Int32]:
     """Return what labels the objects of a cloud."""
     if variant.name == _OPEN3D:
         return open3d_labels
-    pipeline, lccp = data.pipeline(variant.values), find_lccp()
-    if variant.name == _LCCP and lccp is not None:
+    pipeline = data.pipeline(variant.values)
+    if variant.name == _LCCP:
         return lambda cloud: lccp(cloud, pipeline.segment(cloud).labels)
     return lambda cloud: pipeline.segment(cloud).labels
 

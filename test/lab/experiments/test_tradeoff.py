@@ -6,6 +6,7 @@ import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,10 @@ from experiment_samples import make_collection, make_samples
 
 from foretouch.camera.device import ensure_libusb
 from foretouch.cli.main import main
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, ForetouchError
 from foretouch.pipeline import PipelineConfig
+from foretouch.types import Cloud
+from foretouch_lab.cli.experiment import data_source
 from foretouch_lab.experiments import (
     peers,
     tradeoff_chain,
@@ -251,10 +254,15 @@ def test_networks_have_the_skill_of_the_leaderboard_and_one_of_other_data_is_ref
     assert tradeoff_model._of_leaderboard("time", str(table), GRASPS) == {}
     assert tradeoff_model._of_leaderboard("time", "", GRASPS) == {}
     write_results(tmp_path, [row | {"data": "other"}])
-    with pytest.raises(
-        ConfigError, match=r"leaderboard: .*results.csv is not a table of `foretouch benchmark touch` on"
-    ):
+    with pytest.raises(ConfigError, match=r"leaderboard: .*results.csv is of other data than"):
         tradeoff_model._of_leaderboard("object", str(table), GRASPS)
+    table.write_text("a,b\n1,2\n", encoding="utf-8")
+    with pytest.raises(
+        ConfigError, match=r"leaderboard: .*results.csv is not a results.csv of `foretouch benchmark touch`"
+    ):
+        tradeoff_model.EXPERIMENT.prepare(ModelSettings(leaderboard=str(table)), tmp_path, tmp_path)
+    published = {row["predictor"] for row in read_results(ROOT / "docs/results/leaderboard/results.csv")}
+    assert published >= set(NETWORKS.values())
 
 
 def test_the_objects_of_a_scene_are_found_and_measured_with_their_masks(monkeypatch, scenes_of_each_kind) -> None:
@@ -286,26 +294,52 @@ def test_peers_in_cpp_are_named_where_they_can_be_compiled_and_a_wrong_checkout_
 ) -> None:
     monkeypatch.setenv("FORETOUCH_GEOGRASP", str(tmp_path))
     monkeypatch.setattr(peers, "_SYSTEM", tmp_path / "none")
-    assert peers.find_lccp() is None
-    assert peers.find_geograsp() is None
     monkeypatch.setattr(peers.shutil, "which", lambda _: "/usr/bin/g++")
+    assert not peers.has_lccp()
     (tmp_path / "none" / "pcl-1.13").mkdir(parents=True)
-    assert peers.find_lccp() is not None
-    with pytest.raises(ConfigError, match=f"FORETOUCH_GEOGRASP: {tmp_path} holds no .*; name a checkout of GeoGrasp"):
-        peers.find_geograsp()
+    (tmp_path / "none" / "vtk-9.1").mkdir()
+    assert peers.has_lccp()
+    assert not peers.has_geograsp()
+    with pytest.raises(ConfigError, match=r"FORETOUCH_GEOGRASP: .*: no such file; name a checkout of GeoGrasp"):
+        tradeoff_grasp.EXPERIMENT.prepare(SceneSettings(), None, tmp_path)
+    (tmp_path / "geograsp/lib/geograsp").mkdir(parents=True)
+    (tmp_path / "geograsp/lib/geograsp/GeoGrasp.cpp").write_text("int x = nothing;")
+    assert peers.has_geograsp()
+    monkeypatch.setenv("FORETOUCH_PEERS", "0")
+    assert not peers.has_geograsp()
+
+
+def test_a_peer_that_cannot_be_compiled_or_loaded_is_named(monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(peers, "_SYSTEM", tmp_path)  # without Eigen and PCL
+    peers._library.cache_clear()
+    if shutil.which("g++"):
+        with pytest.raises(ForetouchError, match=r"lccp.cpp: cannot be compiled with .*; FORETOUCH_PEERS=0 leaves"):
+            peers.lccp(Cloud(np.ones((1, 1, 3))), np.ones((1, 1), np.int32))
+    monkeypatch.setattr(peers.subprocess, "run", _write_nothing)
+    with pytest.raises(ForetouchError, match=r"lccp-\w+.so: .*; remove it and repeat; FORETOUCH_PEERS=0"):
+        peers.lccp(Cloud(np.ones((1, 1, 3))), np.ones((1, 1), np.int32))
+    none = np.full((1, 1, 3), np.nan)
+    assert peers.lccp(Cloud(none), np.ones((1, 1), np.int32)).tolist() == [[0]]
+
+
+def _write_nothing(command, **_):
+    Path(command[-1]).touch()
+    return SimpleNamespace(returncode=0)
 
 
 @pytest.mark.slow
 def test_the_published_geograsp_gives_the_contacts_of_original(scenes_of_each_kind) -> None:
-    if (published := peers.find_geograsp()) is None:
+    if not peers.has_geograsp():
         pytest.skip("the published GeoGrasp: needs g++, libpcl-dev and a checkout in FORETOUCH_GEOGRASP")
     easy = scenes_of_each_kind[0]
     data = FoundObjects(easy.scene, easy.depths, easy.labels, easy.slots)
     pipeline = data.pipeline({"grasp.method": "original"})
     for _, target in data.targets:
-        ours, theirs = pipeline.plan(target).grasps[0], published(target.cloud, target.plane, 25.0)
+        ours, theirs = pipeline.plan(target).grasps[0], peers.geograsp(target.cloud, target.plane, 25.0)
         np.testing.assert_allclose([theirs.g1, theirs.g2], [ours.g1, ours.g2], atol=1e-4)
         np.testing.assert_allclose(np.abs(theirs.rotation), np.abs(ours.rotation), atol=1e-3)
+    assert peers.geograsp(Cloud(np.zeros((0, 3))), target.plane, 25.0) is None
 
 
 def test_a_grasp_that_holds_is_read_and_one_beside_the_object_is_not(monkeypatch, scenes_of_each_kind) -> None:
@@ -355,11 +389,13 @@ def test_the_chain_multiplies_what_is_found_held_and_explained(monkeypatch, scen
     assert PipelineConfig().updated(default.values["changes"]) == PipelineConfig()
 
 
-def test_the_chain_shows_meshes_of_a_folder_and_names_one_without_any(tmp_path) -> None:
+def test_the_chain_shows_meshes_of_a_folder_and_names_one_without_any(monkeypatch, tmp_path) -> None:
     area, settings = tradeoff_chain.EXPERIMENT, SceneSettings(scenes=2)
     assert area.prepare(settings, None, tmp_path) == tmp_path
     with pytest.raises(ConfigError, match=r"--data .*: holds no <object>/collision_vhacd.obj of the YCB set"):
         area.prepare(settings, tmp_path, tmp_path / "out")
+    monkeypatch.setenv("FORETOUCH_DATA", str(tmp_path))
+    assert data_source(area, SimpleNamespace(data=None)) is None
     (tmp_path / "Block").mkdir()
     trimesh.creation.box((0.06, 0.07, 0.09)).export(tmp_path / "Block" / "collision_vhacd.obj")
     data = area.load(settings, area.prepare(settings, tmp_path, tmp_path / "out"))

@@ -56,6 +56,18 @@ def test_forests_predict_known_objects_the_gain_of_the_kernel_new_ones_and_a_ble
     every_case([0.0, 0.25, 0.51, 0.75, 1.0], check)
 
 
+def test_rows_of_known_and_new_objects_are_predicted_alike_alone_and_together(estimator) -> None:
+    known = HandFrameFeatures(SAMPLES[3].cloud.xyz).describe([SAMPLES[3].grasp])
+    new = HandFrameFeatures(scaled(SAMPLES[3].cloud, 3.0).xyz).describe([SAMPLES[3].grasp])
+    rows = np.concatenate([known, new, np.full_like(known, np.nan)])
+    assert estimator.novelty.scores(rows)[:2].tolist() == [1.0, 0.0]
+    together = estimator.predict_rows(rows)[0]
+    assert np.isnan(together).all(axis=1).tolist() == [False, False, True]
+    for k in range(len(rows)):
+        np.testing.assert_array_equal(estimator.predict_rows(rows[[k]])[0], together[[k]])
+    assert estimator.predict_rows(rows[:0])[0].shape == (0, 50)
+
+
 def test_damage_is_refused_by_part_and_name(estimator) -> None:
     def check(rule: str, name: str, value: Any) -> None:
         tensors = dict(estimator.to_tensors())

@@ -41,7 +41,7 @@ class Table:
     notes: Sequence[str] = ()
 
 
-def _require_data(_settings: Any, source: Path | None, _out: Path) -> Path:
+def require_data(_settings: Any, source: Path | None, _out: Path) -> Path:
     """Return the given data, or raise a `ConfigError` if no data are given: the default `prepare`."""
     if source is None:
         raise ConfigError("experiment: no data; give --data PATH or set FORETOUCH_DATA")
@@ -70,6 +70,7 @@ class Experiment:
         resumable_settings: Settings that only select cells or change how rows are summarised. They may change when a
             sweep is resumed: finished cells are kept, such as hours of one predictor when another one is added.
         data_folder: Folder below FORETOUCH_DATA that is used without --data; None if there is no default.
+        goes_without: Whether it can do without this folder.
         results: Name of the table's file.
     """
 
@@ -83,10 +84,11 @@ class Experiment:
     tabulate: Callable[[Any, Sequence[Row]], list[Row]]
     summarise: Callable[[Sequence[Row]], Sequence[Table]]
     figure: Callable[[Sequence[Row], Path], list[Path]] | None = None
-    prepare: Callable[[Any, Path | None, Path], Path] = _require_data
+    prepare: Callable[[Any, Path | None, Path], Path] = require_data
     load: Callable[[Any, Path], Any] = lambda _settings, path: load_dataset(path)
     resumable_settings: Sequence[str] = ()
     data_folder: str | None = None
+    goes_without: bool = False
     results: str = "results.csv"
 
     @property

@@ -3,6 +3,7 @@
 
 Each is compiled when it is first used, where g++ and PCL are installed (`apt install g++ libpcl-dev`). GeoGrasp also needs a
 checkout of its source, https://github.com/yayaneath/GeoGrasp, whose path is in the environment variable `FORETOUCH_GEOGRASP`.
+`FORETOUCH_PEERS=0` leaves both out.
 """
 
 import ctypes
@@ -10,17 +11,20 @@ import hashlib
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from foretouch.errors import ConfigError, ForetouchError, shown
+from foretouch.errors import ConfigError, ForetouchError, described, shown
 from foretouch.grasp import hand_rotation
 from foretouch.types import AnyArray, Cloud, Grasp, Int32, Plane
 
+_CHECKOUT: Final = "FORETOUCH_GEOGRASP"
+_SWITCH: Final = "FORETOUCH_PEERS"
+_WITHOUT: Final = f"; {_SWITCH}=0 leaves such peers out"
 _SYSTEM: Final = Path("/usr/include")
 _PCL: Final = ("segmentation", "octree", "search", "kdtree", "features", "filters", "common")
 _PCL_OF_GEOGRASP: Final = (*_PCL, "visualization", "sample_consensus", "io")
@@ -28,41 +32,59 @@ _LCCP: Final = np.array([0.0075, 0.03, 10.0], np.float32)
 """Edge of a voxel [m], distance of seeds [m], concavity that is tolerated [deg]: the best of those tried on piles."""
 
 
-def find_lccp() -> Callable[[Cloud, Int32], Int32] | None:
-    """Return what splits the clusters of a cloud by local convexity; None where it cannot be compiled.
+def has_lccp() -> bool:
+    """Return whether there is what LCCP is compiled with."""
+    return os.environ.get(_SWITCH) != "0" and bool(_newest("pcl")) and shutil.which("g++") is not None
 
-    Its arguments are an organised cloud and the (H, W) labels of clusters, from 1 on. It returns (H, W) labels of objects.
+
+def lccp(cloud: Cloud, clusters: Int32) -> Int32:
+    """Split the clusters of a cloud by local convexity.
+
+    Args:
+        cloud: Organised.
+        clusters: (H, W) labels, from 1 on.
+
+    Returns:
+        (H, W) labels of objects, from 1 on.
     """
-    return _lccp if _can_compile() else None
-
-
-def find_geograsp() -> Callable[[Cloud, Plane, float], Grasp] | None:
-    """Return what plans a grasp; None where it cannot be compiled.
-
-    Its arguments are the cloud of an object, the table and the size of a fingertip [mm].
-    """
-    return _geograsp if _can_compile() and _geograsp_source() and _newest("vtk") else None
-
-
-def _lccp(cloud: Cloud, clusters: Int32) -> Int32:
-    index = np.flatnonzero(clusters)
-    xyz, given = cloud.xyz.reshape(-1, 3)[index], clusters.ravel()[index]
+    xyz = cloud.xyz.reshape(-1, 3)
+    index = np.flatnonzero((clusters.ravel() > 0) & np.isfinite(xyz).all(axis=1))
     found, image = np.zeros(len(index), np.int32), np.zeros(clusters.shape, np.int32)
-    _call(_library("lccp", (), _PCL, ()).lccp, len(index), xyz, given.astype(np.int32), _LCCP, found)
+    if len(index):
+        function = _library("lccp", (), _PCL, ()).lccp
+        _call(function, len(index), xyz[index], clusters.ravel()[index].astype(np.int32), _LCCP, found)
     image.ravel()[index] = found
     return image
 
 
-def _geograsp(cloud: Cloud, plane: Plane, tip_mm: float) -> Grasp:
-    source, vtk = Path(str(_geograsp_source())), _newest("vtk")
-    headers = (source / "geograsp/include", source / "geograsp/lib", _SYSTEM / vtk)
+def has_geograsp() -> bool:
+    """Return whether there is what GeoGrasp is compiled with, and its source."""
+    return has_lccp() and bool(_newest("vtk")) and (source := _geograsp_source()) is not None and source.is_file()
+
+
+def check_geograsp() -> None:
+    """Raise a `ConfigError` if `FORETOUCH_GEOGRASP` names another folder than a checkout of GeoGrasp."""
+    if (source := _geograsp_source()) is not None and not source.is_file():
+        raise ConfigError(f"{_CHECKOUT}: {source}: no such file; name a checkout of GeoGrasp")
+
+
+def geograsp(cloud: Cloud, plane: Plane, tip_mm: float) -> Grasp | None:
+    """Plan a grasp as the published GeoGrasp does; None if it finds none.
+
+    Args:
+        cloud: Of an object.
+        plane: The table.
+        tip_mm: Size of a fingertip [mm].
+    """
+    code, vtk = Path(str(_geograsp_source())), _newest("vtk")
+    checkout = code.parents[3]
+    headers = (checkout / "geograsp/include", checkout / "geograsp/lib", _SYSTEM / vtk)
     others = ("-fopenmp", f"-lvtkCommonCore-{vtk.partition('-')[2]}", "-lboost_system")
-    function = _library("geograsp", headers, _PCL_OF_GEOGRASP, others).geograsp
-    found = np.empty((3, 3), np.float32)
+    found = np.zeros((3, 3), np.float32)
     xyz, table = cloud.finite.astype(np.float32), np.array([*plane.normal, plane.offset], np.float32)
-    _call(function, len(xyz), xyz, table, int(tip_mm), found)
+    _call(_library("geograsp", headers, _PCL_OF_GEOGRASP, others).geograsp, len(xyz), xyz, table, int(tip_mm), found)
     g1, g2, axis = found.astype(np.float64)
-    return Grasp(g1, g2, hand_rotation(g1, g2, axis))
+    return None if np.array_equal(g1, g2) else Grasp(g1, g2, hand_rotation(g1, g2, axis))
 
 
 def _call(function: Any, *arguments: int | AnyArray) -> None:
@@ -75,37 +97,35 @@ def _call(function: Any, *arguments: int | AnyArray) -> None:
 
 @lru_cache
 def _library(name: str, headers: Sequence[Path], pcl: Sequence[str], others: Sequence[str]) -> ctypes.CDLL:
-    """Return the compiled library of `<name>.cpp`; made once for each content of the file and each command."""
+    """Return the compiled library of `<name>.cpp`; made once for each content of the sources and each command."""
     source = Path(__file__).with_name(f"{name}.cpp")
+    read = [source, *(file for folder in headers[:2] for file in sorted(folder.rglob("*.[ch]*")))]
     includes = [f"-I{path}" for path in (*headers, _SYSTEM / _newest("pcl"), _SYSTEM / "eigen3")]
     libraries = [*(f"-lpcl_{part}" for part in pcl), *others]
     command = ["g++", "-O3", "-std=c++17", "-shared", "-fPIC", "-w", *includes, str(source), *libraries]
-    digest = hashlib.sha256(source.read_bytes() + " ".join(command).encode()).hexdigest()
+    digest = hashlib.sha256(" ".join(command).encode() + b"".join(file.read_bytes() for file in read)).hexdigest()
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "foretouch" / "peers"
     built = folder / f"{name}-{digest[:16]}.so"
-    if not built.is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        fresh = built.with_suffix(f".{os.getpid()}")
-        done = subprocess.run([*command, "-o", str(fresh)], check=False, capture_output=True, text=True)  # noqa: S603  own paths
-        if done.returncode:
-            reason = next((line for line in done.stderr.splitlines() if "error" in line), "no reason given")
-            raise ForetouchError(f"{source.name}: cannot be compiled with {_newest('pcl')}: {shown(reason)}")
-        fresh.replace(built)
-    return ctypes.CDLL(str(built))
+    try:
+        if not built.is_file():
+            folder.mkdir(parents=True, exist_ok=True)
+            fresh = built.with_suffix(f".{os.getpid()}")
+            done = subprocess.run([*command, "-o", str(fresh)], check=False, capture_output=True, text=True)  # noqa: S603
+            if done.returncode:
+                reason = next((line for line in done.stderr.splitlines() if "error" in line), "no reason given")
+                raise ForetouchError(
+                    f"{source.name}: cannot be compiled with {_newest('pcl')}: {shown(reason)}{_WITHOUT}"
+                )
+            fresh.replace(built)
+        return ctypes.CDLL(str(built))
+    except OSError as err:
+        raise ForetouchError(f"{built}: {described(err)}; remove it and repeat{_WITHOUT}") from err
 
 
-def _can_compile() -> bool:
-    return bool(_newest("pcl")) and shutil.which("g++") is not None
-
-
-def _geograsp_source() -> str:
-    """Return the checkout of GeoGrasp; "" if none is named."""
-    path = os.environ.get("FORETOUCH_GEOGRASP", "")
-    if path and not (Path(path) / "geograsp/lib/geograsp/GeoGrasp.cpp").is_file():
-        raise ConfigError(
-            f"FORETOUCH_GEOGRASP: {path} holds no geograsp/lib/geograsp/GeoGrasp.cpp; name a checkout of GeoGrasp"
-        )
-    return path
+def _geograsp_source() -> Path | None:
+    """Return the file of GeoGrasp in the checkout that the user names; None if none is named."""
+    path = os.environ.get(_CHECKOUT)
+    return Path(path).resolve() / "geograsp/lib/geograsp/GeoGrasp.cpp" if path else None
 
 
 def _newest(library: str) -> str:
