@@ -319,7 +319,7 @@ def _colour(row: Mapping[str, Any]) -> str:
 
 _PANELS: Final = {
     "random": "random:\nknown objects", "time": "time:\nanother time", "object": "object:\nnew objects",
-    FIRST_TOUCHES: "touches: new objects,\nall moved by 0 to 2 touches",
+    FIRST_TOUCHES: "touches: new objects,\nafter 0 to 2 touches",
 }  # fmt: skip
 _PLAIN: Final = {
     "training_mean": "mean of the training", "object_mean": "mean of the object", "object_time_trees": "object and time",
