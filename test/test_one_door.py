@@ -96,6 +96,7 @@ ALLOWED: dict[str, dict[str, str]] = {
         "src/foretouch/cli/doctor.py": "our own self-test",
         "src/foretouch/report/rerun_view.py": "Rerun's viewer, which the user asks for",
         "src/foretouch_lab/experiments/framework/manifest.py": "git, for the revision of an experiment",
+        "src/foretouch_lab/experiments/peers/__init__.py": "g++, for sources of ours and a checkout that the user names",
     },
     "subprocess.Popen": {"src/foretouch/report/rerun_view.py": "Rerun's viewer, which the user asks for"},
 }

@@ -6,7 +6,6 @@ checkout of its source, https://github.com/yayaneath/GeoGrasp, whose path is in 
 `FORETOUCH_PEERS=0` leaves both out.
 """
 
-import ctypes
 import hashlib
 import os
 import shutil
@@ -17,7 +16,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from cffi import FFI
 
+from foretouch.base.files import file_sha256
 from foretouch.errors import ConfigError, ForetouchError, described, shown
 from foretouch.grasp import hand_rotation
 from foretouch.types import AnyArray, Cloud, Grasp, Int32, Plane
@@ -28,6 +29,11 @@ _WITHOUT: Final = f"; {_SWITCH}=0 leaves such peers out"
 _SYSTEM: Final = Path("/usr/include")
 _PCL: Final = ("segmentation", "octree", "search", "kdtree", "features", "filters", "common")
 _PCL_OF_GEOGRASP: Final = (*_PCL, "visualization", "sample_consensus", "io")
+_INTERFACE: Final = FFI()
+_INTERFACE.cdef("""
+    int lccp(int32_t n, const float *xyz, const int32_t *clusters, const float *settings, int32_t *labels);
+    int geograsp(int32_t n, const float *xyz, const float *plane, int32_t tip_mm, float *found);
+""")
 _LCCP: Final = np.array([0.0075, 0.03, 10.0], np.float32)
 """Edge of a voxel [m], distance of seeds [m], concavity that is tolerated [deg]: the best of those tried on piles."""
 
@@ -51,8 +57,8 @@ def lccp(cloud: Cloud, clusters: Int32) -> Int32:
     index = np.flatnonzero((clusters.ravel() > 0) & np.isfinite(xyz).all(axis=1))
     found, image = np.zeros(len(index), np.int32), np.zeros(clusters.shape, np.int32)
     if len(index):
-        function = _library("lccp", (), _PCL, ()).lccp
-        _call(function, len(index), xyz[index], clusters.ravel()[index].astype(np.int32), _LCCP, found)
+        given = xyz[index].astype(np.float32), clusters.ravel()[index].astype(np.int32), _LCCP
+        _call("lccp", _library("lccp", (), _PCL, ()).lccp, len(index), *given, found)
     image.ravel()[index] = found
     return image
 
@@ -82,28 +88,28 @@ def geograsp(cloud: Cloud, plane: Plane, tip_mm: float) -> Grasp | None:
     others = ("-fopenmp", f"-lvtkCommonCore-{vtk.partition('-')[2]}", "-lboost_system")
     found = np.zeros((3, 3), np.float32)
     xyz, table = cloud.finite.astype(np.float32), np.array([*plane.normal, plane.offset], np.float32)
-    _call(_library("geograsp", headers, _PCL_OF_GEOGRASP, others).geograsp, len(xyz), xyz, table, int(tip_mm), found)
+    function = _library("geograsp", headers, _PCL_OF_GEOGRASP, others).geograsp
+    _call("geograsp", function, len(xyz), xyz, table, int(tip_mm), found)
     g1, g2, axis = found.astype(np.float64)
     return None if np.array_equal(g1, g2) else Grasp(g1, g2, hand_rotation(g1, g2, axis))
 
 
-def _call(function: Any, *arguments: int | AnyArray) -> None:
-    """Call a function of a library with numbers and contiguous arrays."""
-    kept = [one if isinstance(one, int) else np.ascontiguousarray(one) for one in arguments]
-    given = [ctypes.c_int32(one) if isinstance(one, int) else one.ctypes.data_as(ctypes.c_void_p) for one in kept]
-    if function(*given):
-        raise ForetouchError(f"{function.__name__}: PCL refused the cloud")
+def _call(name: str, function: Any, *arguments: int | AnyArray) -> None:
+    """Call a function of a library with numbers and contiguous arrays of float32 or int32."""
+    types = {np.dtype(np.float32): "float[]", np.dtype(np.int32): "int32_t[]"}
+    if function(*(one if isinstance(one, int) else _INTERFACE.from_buffer(types[one.dtype], one) for one in arguments)):
+        raise ForetouchError(f"{name}: PCL refused the cloud")
 
 
 @lru_cache
-def _library(name: str, headers: Sequence[Path], pcl: Sequence[str], others: Sequence[str]) -> ctypes.CDLL:
+def _library(name: str, headers: Sequence[Path], pcl: Sequence[str], others: Sequence[str]) -> Any:
     """Return the compiled library of `<name>.cpp`; made once for each content of the sources and each command."""
     source = Path(__file__).with_name(f"{name}.cpp")
     read = [source, *(file for folder in headers[:2] for file in sorted(folder.rglob("*.[ch]*")))]
     includes = [f"-I{path}" for path in (*headers, _SYSTEM / _newest("pcl"), _SYSTEM / "eigen3")]
     libraries = [*(f"-lpcl_{part}" for part in pcl), *others]
     command = ["g++", "-O3", "-std=c++17", "-shared", "-fPIC", "-w", *includes, str(source), *libraries]
-    digest = hashlib.sha256(" ".join(command).encode() + b"".join(file.read_bytes() for file in read)).hexdigest()
+    digest = hashlib.sha256(" ".join([*command, *map(file_sha256, read)]).encode()).hexdigest()
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "foretouch" / "peers"
     built = folder / f"{name}-{digest[:16]}.so"
     try:
@@ -117,7 +123,7 @@ def _library(name: str, headers: Sequence[Path], pcl: Sequence[str], others: Seq
                     f"{source.name}: cannot be compiled with {_newest('pcl')}: {shown(reason)}{_WITHOUT}"
                 )
             fresh.replace(built)
-        return ctypes.CDLL(str(built))
+        return _INTERFACE.dlopen(str(built))
     except OSError as err:
         raise ForetouchError(f"{built}: {described(err)}; remove it and repeat{_WITHOUT}") from err
 
