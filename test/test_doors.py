@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What another package adds by entry points works as what foretouch brings; one that is broken keeps nobody from the rest."""
 
+import configparser
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +18,7 @@ from foretouch.cloud.io.images import IMAGE_SUFFIXES
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.recordings.bag import RECORDING_SUFFIXES
 from foretouch.dataset.recordings.bag_files import PACKED
-from foretouch.doors import Door
+from foretouch.doors import Door, needs_extras
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch_lab.learning.training.run_config import load_run_config
 from foretouch_lab.simulation.scene_source import SceneSource
@@ -151,6 +153,25 @@ def test_what_cannot_be_loaded_is_one_line_that_names_the_part_and_its_place(tmp
         ConfigError, match=r"door raisin: is no entry point of the group .*, of which own.*mean raising\?"
     ):
         door.load("raisin")
+
+
+def test_each_library_of_the_laboratory_that_is_absent_is_named_with_its_cure() -> None:
+    extras = configparser.ConfigParser()
+    extras.read(ROOT / "setup.cfg", encoding="utf-8")
+    names = re.findall(r"^[\w-]+", extras["options.extras_require"]["lab"], re.MULTILINE)
+    assert len(names) >= 5
+
+    def check(name: str) -> None:
+        module = {"scikit-learn": "sklearn"}.get(name, name)
+        with (
+            pytest.raises(
+                MissingDependencyError, match=rf"^train: {name} is not installed: pip install 'foretouch\[lab\]'"
+            ),
+            needs_extras("train"),
+        ):
+            raise ModuleNotFoundError(name=f"{module}.part")
+
+    every_case(names, check)
 
 
 def test_no_package_replaces_a_part_of_foretouch_or_of_the_laboratory(tmp_path, monkeypatch, caplog) -> None:

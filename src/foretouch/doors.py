@@ -31,6 +31,7 @@ _OPTIONAL: Final = {
     "embreex": "embreex",
     "sklearn": "scikit-learn",
     "threadpoolctl": "threadpoolctl",
+    "torch": "torch",
     "trimesh": "trimesh",
 }
 """Distributions of the extra `lab`, by the name under which they are imported."""
