@@ -238,7 +238,7 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     best = max((row for row in rows if row[column] <= default[column]), key=lambda row: row["chain"])
     text = f"The default with readings has a product of {default['chain']:.3f}. Of the settings that take no longer (p95), "
     notes = [
-        "•: on the frontier of the product and the time. Other processes disturb the wall time of a loaded machine.",
+        "•: on the frontier of the product and the median time; in the order of p95. Other processes disturb the wall time of a loaded machine.",
         f"{', '.join(parts)}: the product on each part of the images.",
         f"{text}{best['variant']} has the largest one, {best['chain']:.3f}.",
     ]

@@ -267,7 +267,9 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     else:
         most = max((row["request"] for row in shipped if row["ms_p95"] <= _BUDGET_MS), default=0)
         _, p95, p99 = (", ".join(column) for column in zip(*texts, strict=True))
-        answer = f"In {_BUDGET_MS:g} ms you get the default model, {name}, for up to {most} grasps"
+        answer = (
+            f"In {_BUDGET_MS:g} ms you get the default model, {name}, for up to {most} grasps of the sizes measured"
+        )
         text = f"{answer}: {sizes} take {p95} ms in 95 of 100 calls and {p99} ms in 99 (idle machine)."
     return [Table("In short", [], [], [text])]
 

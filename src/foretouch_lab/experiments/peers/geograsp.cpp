@@ -17,12 +17,19 @@ inline float distance(const Eigen::Map<Eigen::Vector3f> &p, const Eigen::Map<Eig
 #include <iostream>
 #include <omp.h>
 
+// Keeps parallel regions to one thread, also those of PCL, which ask for all processors.
+struct OneThread {
+  const int levels = omp_get_max_active_levels();
+  OneThread() { omp_set_max_active_levels(0); }
+  ~OneThread() { omp_set_max_active_levels(levels); }
+};
+
 // Plan the best grasp of n points. Returns 0, or 1 after an error of PCL.
 //
 // xyz: (n, 3) points [m]; plane: coefficients of the table; tip_mm: size of a fingertip [mm]; found: (3, 3) gets both
 // contacts [m] and the axis of the object.
 extern "C" int geograsp(std::int32_t n, const float *xyz, const float *plane, std::int32_t tip_mm, float *found) try {
-  omp_set_num_threads(1);
+  const OneThread one_thread;
   std::cout.setstate(std::ios_base::failbit);  // it prints what it does
   pcl::PointCloud<pcl::PointXYZ>::Ptr cloud(new pcl::PointCloud<pcl::PointXYZ>(n, 1));
   for (std::int32_t k = 0; k < n; ++k) {
