@@ -17,8 +17,9 @@ import numpy as np
 
 from benchmarks.clutter import frontier, models, physics, piles, rooms, whole
 from benchmarks.clutter.metrics import SceneScore, score, summary
-from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, recorded_objects, segment_anew
+from benchmarks.clutter.scenes import LabelledCloud, load_scenes, recorded_objects, segment_anew
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, read_csv, replace_marked, write_csv
+from foretouch.base.files import cache_folder
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import Int32
 from foretouch_lab.experiments.peers import has_lccp, lccp
@@ -52,11 +53,9 @@ def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
     else:
         found[LCCP] = []
         for scene, clusters, (_, alone_ms, _) in zip(scenes, every, found[CLUSTERS], strict=True):
-            labels, ms = (
-                lccp(scene.cloud, clusters),
-                cpu_ms(partial(lccp, scene.cloud, clusters), _PEER_RUNS, least=True),
-            )
-            found[LCCP].append((score(labels, _measured(scene, scene.labels)), alone_ms + ms, ms))
+            split = partial(lccp, scene.cloud, clusters)
+            ms = cpu_ms(split, _PEER_RUNS, least=True)
+            found[LCCP].append((score(split(), _measured(scene, scene.labels)), alone_ms + ms, ms))
     kinds, rows = ["all", *dict.fromkeys(scene.kind for scene in scenes)], []
     for kind in kinds if len(kinds) > 2 else kinds[:1]:
         for method, answers in found.items():
@@ -111,9 +110,9 @@ def made(kind: str, write: Callable[[Path], object], *identity: object) -> Path:
         for module in (piles, models, physics, *([rooms] if kind == "rooms" else []))
     ]
     name = hashlib.sha256(b"".join([*sources, repr(identity).encode()])).hexdigest()[:16]
-    folder = cache_folder() / f"{kind}-{name}"
+    folder = cache_folder("benchmarks") / f"{kind}-{name}"
     if not folder.is_dir():
-        with tempfile.TemporaryDirectory(dir=cache_folder()) as temporary:
+        with tempfile.TemporaryDirectory(dir=cache_folder("benchmarks")) as temporary:
             write(Path(temporary) / kind)
             (Path(temporary) / kind).rename(folder)
     return folder

@@ -26,9 +26,10 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 
 from benchmarks.clutter.learn_scenes import SETS, write_scenes
 from benchmarks.clutter.metrics import SceneScore, score, summary
-from benchmarks.clutter.scenes import LabelledCloud, cache_folder, real_sources
+from benchmarks.clutter.scenes import LabelledCloud, real_sources
 from benchmarks.clutter.variants import seen_otherwise, variant
 from benchmarks.common import add_data
+from foretouch.base.files import cache_folder
 from foretouch.cloud.segmentation import parts
 from foretouch.cloud.segmentation.clusters import Clusters
 from foretouch.cloud.segmentation.segment import segment
@@ -251,7 +252,7 @@ def simulated_pairs(workers: Workers, files: Sequence[Path]) -> tuple[Pairs, Flo
 def main() -> None:
     """Make scenes, learn from nine tenths of them and from real images, and write the trees with their scores on the others."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=Path, default=cache_folder() / "learn", help="folder of the scenes, made where they are not there")  # fmt: skip
+    parser.add_argument("--scenes", type=Path, default=cache_folder("benchmarks") / "learn", help="folder of the scenes, made where they are not there")  # fmt: skip
     parser.add_argument("--share", type=float, default=1.0, help="share of the simulated images that are made")
     parser.add_argument("--jobs", type=int, default=2, help="processes; the result does not depend on them")
     parser.add_argument(

@@ -17,8 +17,9 @@ from safetensors.numpy import load_file
 
 from benchmarks.clutter import learn, whole
 from benchmarks.clutter.metrics import SceneScore
-from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, real_sources
+from benchmarks.clutter.scenes import LabelledCloud, load_scenes, real_sources
 from benchmarks.common import add_data, markdown, print_rows, replace_marked
+from foretouch.base.files import cache_folder
 from foretouch.cloud.segmentation import parts
 from foretouch.types import Float32
 
@@ -68,7 +69,7 @@ def table(folds: dict[str, tuple[Answers, Answers]]) -> list[dict[str, Any]]:
 def main() -> None:
     """Print the table; write it into the README if asked."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=Path, default=cache_folder() / "learn", help="folder in which learn.py kept the pairs")  # fmt: skip
+    parser.add_argument("--scenes", type=Path, default=cache_folder("benchmarks") / "learn", help="folder in which learn.py kept the pairs")  # fmt: skip
     parser.add_argument("--also", type=Path, nargs="*", default=[], help="folders of labelled scenes that are never learned from, such as piles and rooms")  # fmt: skip
     parser.add_argument("--jobs", type=int, default=2, help="processes; the result does not depend on them")
     parser.add_argument("--write", action="store_true", help="write the README's table")

@@ -7,7 +7,6 @@ int32 with 1 and up for objects, and `kind`. Whole images have `depth_mm` (H, W)
 1 and up for objects, negative where nothing is scored.
 """
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -116,10 +115,3 @@ def _pixels(slope: Float64, centre: float) -> Int64:
 def segment_anew(cloud: Cloud, config: SegmentationConfig | None) -> None:
     """Segment a new copy of a cloud, as from a camera."""
     segment(replace(cloud, xyz=cloud.xyz.copy()), config)
-
-
-def cache_folder() -> Path:
-    """The folder of what is made once."""
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "foretouch" / "benchmarks"
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder

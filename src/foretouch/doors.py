@@ -145,7 +145,7 @@ class Door:
 
 @functools.cache
 def _chosen(group: str, noun: str, taken: frozenset[str], folders: tuple[str, ...]) -> Mapping[str, EntryPoint]:
-    """Choose one part for each name: the laboratory's if it has one, else that of the first package in the order of the alphabet."""
+    """Choose one part for each name: the laboratory's, or else the part of the package that comes first in the alphabet."""
     chosen: dict[str, EntryPoint] = {}
     for entry in _entry_points(folders).get(group, ()):
         if entry.name in taken or entry.name in chosen:

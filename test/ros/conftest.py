@@ -80,8 +80,8 @@ class Graph:
                 break
             gc.collect()
             time.sleep(0.05)
-        _destroyed.clear()  # what is kept for good
-        self.domain = open_domain(new=alone)
+        self.domain = open_domain(new=alone or bool(_destroyed))  # a new one does not list those that are still held
+        _destroyed.clear()
         self.probe = Node("probe", namespace="/foretouch")
         self.probe.get_logger().set_level(LoggingSeverity.FATAL)
         self.nodes: list[Any] = []

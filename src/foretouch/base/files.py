@@ -497,6 +497,13 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
     return value
 
 
+def cache_folder(name: str) -> Path:
+    """Return a folder below the user's cache for what can be made again; it is made if it is absent."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "foretouch" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 def file_sha256(path: str | Path) -> str:
     """Return the SHA-256 of a regular file, hexadecimal; a `FileError` as `open_regular`, or if reading fails."""
     with open_regular(path) as file, _named(path):

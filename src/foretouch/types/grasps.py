@@ -156,7 +156,7 @@ class Grasp(Summarised, ByValue):
 
     @property
     def is_known(self) -> bool:
-        """Whether its contacts were given: those of `NO_GRASP` were not."""
+        """Whether the contacts are known; False for those of `NO_GRASP`."""
         return not np.array_equal([self.g1, self.g2], [NO_GRASP.g1, NO_GRASP.g2])
 
     @property

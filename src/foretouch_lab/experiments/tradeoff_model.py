@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Area `model`: skill of touch models on held-out grasps against the time of 1 to 1000 grasps on a cloud.
 
-No network is trained here: those of the papers have the skill that the leaderboard of touch models gives them, on the same folds.
+This area trains no network. It takes the skill of the papers' networks from the leaderboard of touch models, which has the same folds.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def _read_leaderboard(table: str) -> list[Row]:
 
 
 def _prepare(settings: ModelSettings, source: Path | None, out: Path) -> Path:
-    """Return the data, after a look at the leaderboard: hours before it would be missed."""
+    """Return the data; a leaderboard that cannot be read is refused before anything is measured."""
     _read_leaderboard(settings.leaderboard)
     return require_data(settings, source, out)
 

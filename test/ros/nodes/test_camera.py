@@ -49,7 +49,7 @@ def plug(node, *, on):
 
 
 def is_streaming(reports):
-    return reports and reports[-1].level != DiagnosticStatus.ERROR and reports[-1].values["camera"] == "streaming"
+    return reports and reports[-1].level == DiagnosticStatus.OK and reports[-1].values["camera"] == "streaming"
 
 
 def test_a_camera_publishes_organised_clouds_while_it_is_active(graph, start):

@@ -291,10 +291,8 @@ class ContactEstimator:
         inputs = rows[:, len(CONDITIONS) :]
         if not self.surroundings:
             inputs = np.where(_AROUND, self.kernel.centre, inputs)
-        known, new = (
-            ~(scores <= 0.0),
-            ~(scores >= 1.0),
-        )  # most rows are one of both, and each part takes half of the time
+        # Most rows are either known or new, and each part takes half of the time. Scores that are not finite count as both.
+        known, new = ~(scores <= 0.0), ~(scores >= 1.0)
         scaled = np.zeros((len(rows), self.ranges.channels.size))
         scaled[known] = scores[known, None] * self._trees(inputs[known])
         scaled[new] += (1.0 - scores[new, None]) * (self.kernel.predict(inputs[new]) * self._gain)

@@ -18,12 +18,13 @@ from typing import Any, Final
 import numpy as np
 from cffi import FFI
 
-from foretouch.base.files import file_sha256
+from foretouch.base.files import cache_folder, file_sha256
 from foretouch.errors import ConfigError, ForetouchError, described, shown
 from foretouch.grasp import hand_rotation
 from foretouch.types import AnyArray, Cloud, Grasp, Int32, Plane
 
 _CHECKOUT: Final = "FORETOUCH_GEOGRASP"
+_GEOGRASP: Final = "geograsp/lib/geograsp/GeoGrasp.cpp"  # in the checkout
 _SWITCH: Final = "FORETOUCH_PEERS"
 _WITHOUT: Final = f"; {_SWITCH}=0 leaves such peers out"
 _SYSTEM: Final = Path("/usr/include")
@@ -57,21 +58,23 @@ def lccp(cloud: Cloud, clusters: Int32) -> Int32:
     index = np.flatnonzero((clusters.ravel() > 0) & np.isfinite(xyz).all(axis=1))
     found, image = np.zeros(len(index), np.int32), np.zeros(clusters.shape, np.int32)
     if len(index):
+        library = _library("lccp", (), _PCL, ())
         given = xyz[index].astype(np.float32), clusters.ravel()[index].astype(np.int32), _LCCP
-        _call("lccp", _library("lccp", (), _PCL, ()).lccp, len(index), *given, found)
+        _call(library, "lccp", len(index), *given, found)
     image.ravel()[index] = found
     return image
 
 
 def has_geograsp() -> bool:
     """Return whether there is what GeoGrasp is compiled with, and its source."""
-    return has_lccp() and bool(_newest("vtk")) and (source := _geograsp_source()) is not None and source.is_file()
+    checkout = _checkout()
+    return has_lccp() and bool(_newest("vtk")) and checkout is not None and (checkout / _GEOGRASP).is_file()
 
 
 def check_geograsp() -> None:
     """Raise a `ConfigError` if `FORETOUCH_GEOGRASP` names another folder than a checkout of GeoGrasp."""
-    if (source := _geograsp_source()) is not None and not source.is_file():
-        raise ConfigError(f"{_CHECKOUT}: {source}: no such file; name a checkout of GeoGrasp")
+    if (checkout := _checkout()) is not None and not (checkout / _GEOGRASP).is_file():
+        raise ConfigError(f"{_CHECKOUT}: {checkout / _GEOGRASP}: no such file; name a checkout of GeoGrasp")
 
 
 def geograsp(cloud: Cloud, plane: Plane, tip_mm: float) -> Grasp | None:
@@ -82,22 +85,24 @@ def geograsp(cloud: Cloud, plane: Plane, tip_mm: float) -> Grasp | None:
         plane: The table.
         tip_mm: Size of a fingertip [mm].
     """
-    code, vtk = Path(str(_geograsp_source())), _newest("vtk")
-    checkout = code.parents[3]
+    checkout, vtk = _checkout(), _newest("vtk")
+    if checkout is None:
+        raise ConfigError(f"{_CHECKOUT}: is not set; name a checkout of GeoGrasp")
     headers = (checkout / "geograsp/include", checkout / "geograsp/lib", _SYSTEM / vtk)
     others = ("-fopenmp", f"-lvtkCommonCore-{vtk.partition('-')[2]}", "-lboost_system")
     found = np.zeros((3, 3), np.float32)
     xyz, table = cloud.finite.astype(np.float32), np.array([*plane.normal, plane.offset], np.float32)
-    function = _library("geograsp", headers, _PCL_OF_GEOGRASP, others).geograsp
-    _call("geograsp", function, len(xyz), xyz, table, int(tip_mm), found)
+    _call(_library("geograsp", headers, _PCL_OF_GEOGRASP, others), "geograsp", len(xyz), xyz, table, int(tip_mm), found)
     g1, g2, axis = found.astype(np.float64)
     return None if np.array_equal(g1, g2) else Grasp(g1, g2, hand_rotation(g1, g2, axis))
 
 
-def _call(name: str, function: Any, *arguments: int | AnyArray) -> None:
+def _call(library: Any, name: str, *arguments: int | AnyArray) -> None:
     """Call a function of a library with numbers and contiguous arrays of float32 or int32."""
     types = {np.dtype(np.float32): "float[]", np.dtype(np.int32): "int32_t[]"}
-    if function(*(one if isinstance(one, int) else _INTERFACE.from_buffer(types[one.dtype], one) for one in arguments)):
+    if getattr(library, name)(
+        *(one if isinstance(one, int) else _INTERFACE.from_buffer(types[one.dtype], one) for one in arguments)
+    ):
         raise ForetouchError(f"{name}: PCL refused the cloud")
 
 
@@ -110,11 +115,10 @@ def _library(name: str, headers: Sequence[Path], pcl: Sequence[str], others: Seq
     libraries = [*(f"-lpcl_{part}" for part in pcl), *others]
     command = ["g++", "-O3", "-std=c++17", "-shared", "-fPIC", "-w", *includes, str(source), *libraries]
     digest = hashlib.sha256(" ".join([*command, *map(file_sha256, read)]).encode()).hexdigest()
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "foretouch" / "peers"
-    built = folder / f"{name}-{digest[:16]}.so"
+    built = Path(f"{name}-{digest[:16]}.so")
     try:
+        built = cache_folder("peers") / built
         if not built.is_file():
-            folder.mkdir(parents=True, exist_ok=True)
             fresh = built.with_suffix(f".{os.getpid()}")
             done = subprocess.run([*command, "-o", str(fresh)], check=False, capture_output=True, text=True)  # noqa: S603
             if done.returncode:
@@ -128,10 +132,10 @@ def _library(name: str, headers: Sequence[Path], pcl: Sequence[str], others: Seq
         raise ForetouchError(f"{built}: {described(err)}; remove it and repeat{_WITHOUT}") from err
 
 
-def _geograsp_source() -> Path | None:
-    """Return the file of GeoGrasp in the checkout that the user names; None if none is named."""
+def _checkout() -> Path | None:
+    """Return the checkout of GeoGrasp that the user names; None if none is named."""
     path = os.environ.get(_CHECKOUT)
-    return Path(path).resolve() / "geograsp/lib/geograsp/GeoGrasp.cpp" if path else None
+    return Path(path).resolve() if path else None
 
 
 def _newest(library: str) -> str:

@@ -17,7 +17,7 @@ inline float distance(const Eigen::Map<Eigen::Vector3f> &p, const Eigen::Map<Eig
 #include <iostream>
 #include <omp.h>
 
-// Keeps parallel regions to one thread, also those of PCL, which ask for all processors.
+// Runs all parallel regions on one thread, also those of PCL, which ask for all processors.
 struct OneThread {
   const int levels = omp_get_max_active_levels();
   OneThread() { omp_set_max_active_levels(0); }
